@@ -31,8 +31,8 @@ class SegmentationConfig:
     larger."""
     table: bool = True
     """Whether to search for a table. If false, every point that is not on the robot belongs to an
-    obstacle. A scenario in which `table_height` is null, both here and as its own field, has no
-    table either."""
+    obstacle. If `table_height` is null both here and in the scenario, no table is searched
+    either."""
     table_height: float | None = None
     """Expected height of the table in the world [m], near which the table is searched; null: the
     scenario's field `table_height`. Without a scenario, null searches at every height."""
@@ -86,8 +86,8 @@ class CameraSource:
         return tuple(self.cameras) or (self.camera,)
 
     def signal(self, kind: str, name: str) -> str:
-        """Returns the name of one camera's signal in the diagram: `kind` itself, or `kind_name` if
-        there are several cameras.
+        """Returns the name of one camera's signal (a named value in the diagram, computed by one
+        output port): `kind` itself, or `kind_name` if there are several cameras.
 
         Args:
             kind: quantity, such as depth_image.
@@ -125,8 +125,9 @@ class LcmCamera(CameraSource):
     """LCM URL from which the images are received. The default buffer size suffices for uncompressed
     images of 640 x 480 pixels."""
     pixel_center: float = Field(default=0.5, ge=-1.0, le=1.0)
-    """Image coordinate of the center of the first pixel [pixel]: 0.5 for images rendered by Drake
-    (`drake-oa station`), 0 for a real camera. The principal point is reduced by this value."""
+    """Image coordinate of the center of the first pixel [pixel]: 0.5 for images rendered by Drake,
+    such as those that `drake-oa station` publishes; 0 for a real camera. The principal point is
+    reduced by this value."""
 
 
 @dataclass(config=BLOCK, kw_only=True)
@@ -144,8 +145,9 @@ class RecordedBag(CameraSource):
     info_topic: str = "/camera/depth/camera_info"
     """Topic of the images' intrinsics: sensor_msgs/CameraInfo; distortion is ignored."""
     joint_topic: str | None = "/joint_states"
-    """Topic of the robot's state for the self filter: sensor_msgs/JointState; null, and for joints
-    that the messages lack: the state of the simulated robot."""
+    """Topic of the robot's joint states (sensor_msgs/JointState), by which points on the robot are
+    removed. If null, and for joints that the messages lack, the state of the simulated robot is
+    used."""
     camera_pose: Annotated[Transform, DrakeStruct()] | None = None
     """Pose of the camera in the world (x right, y down, z forward); null: from the transforms on
     /tf and /tf_static, from the frame "world" to that of the images."""
@@ -173,8 +175,9 @@ class RecordedClouds:
     """Folder with recorded frames as .npz, .pcd, .ply or .png files; relative to the scenario
     file."""
     X_WC: Annotated[Transform, DrakeStruct()] | None = None
-    """Pose of the camera in the world for files that contain none; {} is the identity, for point
-    clouds in the world frame."""
+    """Pose of the camera (x right, y down, z forward) in the world for files that contain none; {}
+    is the identity, for point clouds in the world frame. It may be null if each file contains the
+    pose."""
     period: float = Field(default=1.0 / 15.0, ge=1e-3, le=10.0)
     """Time between two observations, and between recorded files without a stamp [s]. Raising it
     makes the reaction to the recorded obstacles slower."""

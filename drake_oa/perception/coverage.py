@@ -27,8 +27,8 @@ def unobserved_fraction(points: Sequence[FloatArray], observed: Sequence[FreeSpa
     """Computes the fraction of the space near an arm that no camera observes to be free.
 
     Args:
-        points: for each of T configurations of the arm, points (N, 3) that sample the space near
-            the arm [m]; `points_near` computes them.
+        points: for each of T configurations of the arm, points (N, 3) in the world that sample the
+            space near the arm [m]; `points_near` computes them.
         observed: for each of these configurations, the space that the cameras observe to be free.
 
     Returns:
@@ -41,7 +41,7 @@ def unobserved_fraction(points: Sequence[FloatArray], observed: Sequence[FreeSpa
 def points_near(
     p_WS: FloatArray, radius: FloatArray, table_height: float | None
 ) -> list[FloatArray]:
-    """Returns grid points (N, 3) [m] that sample the space near an arm, for each of T
+    """Returns grid points (N, 3) in the world [m] that sample the space near an arm, for each of T
     configurations.
 
     The points are outside the arm, within `REACH` of its surface, above the table, and at most

@@ -1,5 +1,5 @@
-"""Perception of obstacles from depth cameras, and the tracker state that all perception sources
-share.
+"""Perception of obstacles from depth cameras, and the class `PerceptionState`, by which each
+perception system keeps its tracked obstacles in the Context.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _logger = logging.getLogger("drake_oa")
 
 
 class PerceptionState:
-    """Tracker state of a perception source, kept as abstract state in its Context, with the output
-    ports that read it.
+    """Abstract state of a perception system that contains its `TrackerState` (tracked obstacles
+    with their remembered points, and output), with the output ports that read it.
     """
 
     def __init__(self, system: LeafSystem) -> None:
-        """Declares the abstract state, and the output ports ``obstacles_W`` and ``cloud``, of a
-        perception system.
+        """Declares the abstract state and the output ports ``obstacles_W`` (ObstacleClouds) and
+        ``cloud`` (PointCloud) of a perception system.
         """
         self._index = system.DeclareAbstractState(Value(TrackerState()))
         ticket = {system.abstract_state_ticket(self._index)}
@@ -148,7 +148,7 @@ class _Ports(NamedTuple):
 
 
 class DepthPerception(LeafSystem):
-    """Detects and tracks obstacles in depth images: one point cloud and velocity per obstacle.
+    """System that detects and tracks obstacles in depth images: one cloud and velocity for each.
 
     Note: with several cameras the stamp of `obstacles_W` is that of the oldest camera, not that of
     the newest image. The oldest camera is the one without a usable image for the longest time; the
@@ -183,22 +183,24 @@ class DepthPerception(LeafSystem):
 
     Port `image_stamp` (optional): (1,) time of the image [s]. Not connected: the time at which the
     image is evaluated. An image that is not newer than the last usable image of its camera is no
-    new observation: only the `note` of the output changes.
+    new observation: only the field `note` of `obstacles_W` changes.
 
-    Port `obstacles_W`: ObstacleClouds in the world frame [m], with track IDs and velocities.
+    Port `obstacles_W`: ObstacleClouds in the world frame [m], with track IDs and velocities [m/s].
+    Its field `note` is the reason why an observation is degraded.
 
-    Port `cloud`: PointCloud of all points above the table in the world frame [m], including the
-    robot's; for visualization.
+    Port `cloud`: PointCloud of all points above the table (if no table is expected, of all points)
+    in the world frame [m], including the robot's; for visualization.
 
-    Port `free_space_W`: abstract `FreeSpace` of the last usable images.
+    Port `free_space_W`: abstract `FreeSpace`, the space between the cameras and the surfaces in
+    their last usable images.
 
     The inputs are evaluated at initialization and then every `period`, since each evaluation makes
     a simulated camera render. The outputs are constant between these updates. An obstacle keeps its
     track ID, and the points that the arm occludes. The cloud of an obstacle at rest remains bitwise
     equal until a larger or smaller extent is observed. `drake_oa.perception.tracking.update_tracks`
-    describes tracking, repeated frames, and stamps that decrease. A frame without a table leaves
-    the obstacles and their stamp unchanged and states the reason in `note`. A receiver computes the
-    age of the obstacles from the stamp.
+    describes tracking, repeated frames, and stamps that decrease. A frame in which an expected
+    table is not found leaves the obstacles and their stamp unchanged and states the reason in
+    `note`. A receiver computes the age of the obstacles from the stamp.
 
     Images whose stamps differ by at most `sync_tolerance` form one frame with the time of the
     newest image. The self filter removes the robot at its configuration of each image. A camera
@@ -226,16 +228,19 @@ class DepthPerception(LeafSystem):
                 to their intrinsics.
             config: parameters of the segmentation; `table_height` is the prior on the table. None:
                 defaults, with a table that is searched at every height.
-            robot: collision geometry from `robot_geometries`; None: no self filter.
+            robot: collision geometry of the robot, from `collision_scene.robot_geometries`; points
+                on it are removed. None: no points are removed.
             pixel_center: image coordinate of the center of the first pixel [pixel]. 0 is the
                 convention of CameraInfo. RenderEngineVtk of Drake 1.51 renders with 0.5; without
                 this correction the scene is rotated by half a pixel.
             period: time between frames [s].
             delay: time from the begin of a period to the arrival of its images [s].
             sync_tolerance: maximum difference of the stamps of images that form one frame [s].
-            missing_image_timeout: age of the last image of a camera above which `note` reports a
-                missing image [s]. An unsynchronized camera occasionally has none in a period.
-            depth_ranges: minimum and maximum depth that each camera measures [m]; empty: no limits.
+            missing_image_timeout: age of the last image of a camera above which the field `note` of
+                `obstacles_W` reports a missing image [s]; 0: at any age. An unsynchronized camera
+                occasionally has none in a period.
+            depth_ranges: minimum and maximum depth that each camera measures [m], for the output
+                `free_space_W`; empty: no limits.
 
         Raises:
             ValueError: for a period that is not positive.
@@ -278,7 +283,8 @@ class DepthPerception(LeafSystem):
     def _update(self, context: Context, state: State) -> None:
         """Updates the tracked obstacles and the free space by the cameras' new images.
 
-        Without a new image, only the note of the output changes, which states the reason.
+        Without a new image, only the note in the output changes (reason why the observation is
+        degraded).
         """
         time, previous = context.get_time(), self._state.read(context)
         count = len(self._ports)

@@ -24,7 +24,7 @@ vibrate."""
 
 
 class GroundTruthPerception(LeafSystem):
-    """Outputs points on the surfaces of obstacles at their exact poses in SceneGraph.
+    """System that outputs points on the surfaces of obstacles at their exact poses in SceneGraph.
 
     .. pydrake_system::
 
@@ -38,9 +38,9 @@ class GroundTruthPerception(LeafSystem):
     Port `query_object`: QueryObject of the scene graph that contains the obstacles.
 
     Port `obstacles_W`: ObstacleClouds in the world frame [m]: points on the whole surface of each
-    model instance, including occluded sides. The track ID is the index of the model instance in the
-    constructor's list. Obstacles farther from the world origin than `messages.OUT_OF_WORLD` are
-    omitted.
+    model instance, including occluded parts. The track ID is the index of the model instance in the
+    constructor's list. Obstacles at a world coordinate of more than 25 m
+    (`messages.OUT_OF_WORLD`) are omitted.
 
     Port `cloud`: PointCloud of all these points in the world frame [m].
 
@@ -119,7 +119,7 @@ class GroundTruthPerception(LeafSystem):
 def _body_fixed_samples(
     plant: MultibodyPlant, inspector: SceneGraphInspector, instance: ModelInstanceIndex
 ) -> tuple[tuple[FrameId, FloatArray], ...]:
-    """Samples points on the collision geometries of a model instance.
+    """Samples points on the surfaces of the collision geometries of a model instance.
 
     Returns:
         For each body with collision geometry, its frame and the points (N, 3) in that frame [m].

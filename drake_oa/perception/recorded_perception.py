@@ -22,7 +22,7 @@ from drake_oa.perception.tracking import update_tracks
 
 
 class RecordedPerception(LeafSystem):
-    """Detects and tracks obstacles in a folder of recorded depth images or point clouds.
+    """System that detects and tracks obstacles in a folder of recorded depth images or clouds.
 
     .. pydrake_system::
 
@@ -31,10 +31,11 @@ class RecordedPerception(LeafSystem):
       - obstacles_W
       - cloud
 
-    Port `obstacles_W`: ObstacleClouds in the world frame [m]; the stamp is the simulation time at
-    which the frame became due.
+    Port `obstacles_W`: ObstacleClouds in the world frame [m], with track IDs and velocities [m/s].
+    The stamp is the simulation time at which the frame became due.
 
-    Port `cloud`: PointCloud of all points above the table, in the world frame [m].
+    Port `cloud`: PointCloud of all points above the table (if no table is expected, of all points),
+    in the world frame [m].
 
     The first frame is due at time 0, the others with the time differences of the recording. At
     initialization and then every `period`, the newest due frame is processed, unless it was
@@ -44,8 +45,8 @@ class RecordedPerception(LeafSystem):
     The pose of the camera is read from the frame's file, else `X_WC` is used. Without both, the
     table defines the world: z along its normal, x along the camera's x axis, and the origin at the
     intersection of table and optical axis. `drake_oa.perception.recordings` describes the files.
-    Obstacles are tracked as by `DepthPerception`; a point cloud is assumed to contain every
-    surface, without occlusion.
+    Obstacles are tracked over the frames, with constant track IDs, also while they are occluded. A
+    point cloud is assumed to contain every surface, without occlusion.
     """
 
     def __init__(
@@ -61,11 +62,12 @@ class RecordedPerception(LeafSystem):
 
         Args:
             folder: folder with .npz, .pcd, .ply or .png files.
-            X_WC: pose of the camera for files without a pose; the identity for clouds in the world
-                frame; None: unknown.
+            X_WC: pose of the camera (x right, y down, z forward) in the world for files without a
+                pose; the identity for clouds in the world frame. None: unknown; then the table
+                defines the world.
             config: parameters of the segmentation; None: defaults.
-            robot: collision geometry from `robot_geometries` for the self filter of frames with a
-                `robot_state`; None: no self filter.
+            robot: collision geometry of the robot, from `collision_scene.robot_geometries`; points
+                on it are removed from frames with a `robot_state`. None: no points are removed.
             period: time between updates, and between files without stamp [s].
 
         Raises:
@@ -132,13 +134,15 @@ def segment_frame(
     config: SegmentationConfig,
     robot: CollisionGeometries | None = None,
 ) -> Segmentation:
-    """Segments a recorded frame into table and obstacles.
+    """Segments a recorded frame into the table and one cluster of points per obstacle.
 
     Args:
         frame: recorded frame with a depth image and intrinsics K, or with points.
-        X_WC: (4, 4) pose of the camera for a frame without a pose; None: unknown.
+        X_WC: (4, 4) pose of the camera in the world for a frame without a pose; None: unknown; then
+            the table defines the world.
         config: parameters of the segmentation.
-        robot: collision geometry of the robot at the time of the frame; None: no self filter.
+        robot: collision geometry of the robot at the time of the frame, whose points are removed;
+            None: no points are removed.
 
     Raises:
         ValueError: if `config.table` is False and no pose of the camera is known.

@@ -2,14 +2,15 @@
 
 Each file is one frame:
 
-- ``.npz`` with ``depth`` (H, W) [m] and ``K`` = [fx, fy, cx, cy], or with ``points``
-  (N, 3) [m]; both optionally with ``X_WC`` (4, 4), ``stamp`` [s], and ``robot_state`` [q, v] for
-  the self filter;
-- ``.pcd`` or ``.ply``: a cloud;
+- ``.npz`` with ``depth`` (H, W) [m] and ``K`` = [fx, fy, cx, cy] [pixel], or with ``points`` (N, 3)
+  in the camera frame [m]; both optionally with ``X_WC`` (4, 4), the pose of the camera in the
+  world, ``stamp`` [s], and ``robot_state`` [q, v], by which points on the robot are removed;
+- ``.pcd`` or ``.ply``: a point cloud in the camera frame [m];
 - ``.png``: a 16-bit depth image with its intrinsics in a file of the same folder: for ``scene.png``
   ``scene.json``, ``intrinsics.json`` or ``camera_info.json`` (or ``.yaml``, ``.yml``). That file
-  contains ``fx, fy, cx, cy``, or a row-major 3 x 3 matrix ``K``, ``k``, ``camera_matrix`` (ROS:
-  with ``data``) or ``intrinsic_matrix``, and optionally ``depth_scale`` [m per unit].
+  contains ``fx, fy, cx, cy``, or a 3 x 3 camera matrix, row by row or column by column, with the
+  name ``K``, ``k``, ``camera_matrix`` (ROS: with ``data``) or ``intrinsic_matrix``. Optionally it
+  contains ``depth_scale`` [m per unit].
 
 The stamp of a file without one is the number at the end of its name in seconds, if that has a
 decimal point (``cloud_000.066.pcd``). Otherwise it is the file's index in the folder, sorted by
@@ -82,7 +83,8 @@ class RecordedFrame:
         K: (4,) fx, fy, cx, cy [pixel], or None.
         points: (N, 3) points in the camera frame [m], not finite where missing, or None.
         X_WC: (4, 4) pose of the camera in the world; None: not in the file.
-        robot_state: (num_states,) state [q, v] of the robot in the frame, or None.
+        robot_state: (num_states,) state [q, v] of the robot at the time of the frame [rad, m and
+            per s], or None.
     """
 
     path: Path
@@ -202,7 +204,8 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
 
 
 def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
-    """Reads a recorded frame from a .pcd or .ply file with a point cloud.
+    """Reads a recorded frame from a .pcd or .ply file with a point cloud, and gives it the stamp
+    `stamp` [s].
 
     Raises:
         ValueError: if the file is truncated or contains no finite point.

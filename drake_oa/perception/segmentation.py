@@ -1,10 +1,10 @@
 """Segmentation of depth images of one instant, or of a point cloud, into table and obstacles.
 
-Stages; each is one function, with the number of its stage in its docstring:
+Stages; each is one function:
 
 1. Plane, `_find_plane`: the support plane, fitted to a subsample of each image (`table`).
 2. Height, `_points_above`: the points of each image above the plane; all points without a table.
-3. Voxels, `voxel_means`: the mean points by voxel of all images together.
+3. Voxels, `voxel_means`: the mean of the points of all images in each voxel (cube of a grid).
 4. Self filter, `_is_off_robot`: voxels on the robot are removed.
 5. Extent, `_is_over_table`: voxels beside the table are removed.
 6. Clusters, `_clusters`: connected voxels; clusters are merged across occluded gaps.
@@ -55,8 +55,9 @@ _MAX_WARP = 0.04
 """Maximum apparent height of a flat table that a structured-light camera measures as bent upward
 [m]."""
 _HIGHER_SHARE = 0.1
-"""Minimum fraction of a cluster's voxels above the depth noise and apparent bend of the table;
-clusters with a smaller fraction are no obstacles [-]."""
+"""Minimum fraction of a cluster's voxels that are higher above the table than depth noise and the
+upward bend with which the camera measures a distant flat table [-]. Clusters with a smaller
+fraction are no obstacles."""
 OCCLUSION_GAP = 0.06
 """Maximum width of an occluded gap across which two clusters are merged into one obstacle [m]."""
 _BRIDGES = 16
@@ -69,11 +70,11 @@ _MIN_HEIGHT = 0.004
 """Minimum height of an obstacle's points above the table, to which the allowance for depth noise is
 added [m]."""
 _OVERHANG = 0.15
-"""Maximum distance by which an obstacle may extend beyond the edge of the table and its margin
-[m]."""
+"""Maximum distance by which an obstacle on the table may extend beyond the margin `table_margin`
+around the table [m]."""
 _OVER_TABLE = 0.15
 """Minimum fraction of a cluster's voxels that lie over the table, for its voxels beyond the table's
-edge to be included [-]."""
+edge to be included in the obstacle [-]."""
 _MIN_OCCUPANCY = 2
 """Minimum number of points in a voxel that is used; voxels with fewer points are ignored."""
 _STRIDE = 4
@@ -83,8 +84,8 @@ _CLOUD_SAMPLES = 20_000
 _NO_TABLE = "no support plane found"
 """Note (reason why an image or cloud is not usable) if no support plane is found in it."""
 _NO_DEPTH = "hardly any depth is measured"
-"""Note (reason why an image or cloud is not usable) if less than the fraction `LEAST_SHARE` of its
-pixels has depth."""
+"""Note (reason why an image or cloud is not usable) if less than 5 % (`table.LEAST_SHARE`) of its
+pixels have depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,21 +94,21 @@ class Segmentation:
 
     Attributes:
         clouds_W: for each obstacle an (N_i, 3) array of the mean points of its voxels in the world
-            frame [m], largest obstacle first; without a table, from all points off the robot.
+            frame [m], largest obstacle first.
         labels: for each usable image, or for the cloud, an array (N,) with the obstacle of each
             pixel (row-major) or point, as index into `clouds_W`; -1: none.
-        table: support plane in the world frame, or None.
+        table: support plane in the world frame; None: not expected or not found.
         points_W: (N, 3) all points above the table, without a table all points, in the world frame
             [m]; including the robot's, for visualization.
         plane_rms: root mean square distance of the plane's samples from the plane [m]; NaN without
             plane.
-        X_WC: (4, 4) pose of the first camera. If no pose was given, the pose for which the table is
-            the plane z = 0 (see `segment_depth`).
-        usable: whether a table was found or is not expected; False: the frame contains no
-            information about obstacles.
+        X_WC: (4, 4) pose of the first camera in the world. If no pose was given, the pose for which
+            the table is the plane z = 0 (see `segment_depth`).
+        usable: whether an image has depth, and a table was found or is not expected; False: the
+            frame contains no information about obstacles.
         note: empty, or the reason why the frame is not usable.
         views: usable images; empty for a cloud.
-        unusable_views: from index of each image that is not usable to the reason.
+        unusable_views: mapping from the index of each image that is not usable to the reason.
     """
 
     clouds_W: tuple[FloatArray, ...] = ()
@@ -143,10 +144,12 @@ class _Frame(NamedTuple):
         X_WC: (4, 4) pose of the camera in the world; None: unknown.
         view: the image; None: a cloud.
         table: support plane in the world; None: not found.
-        extent_W: (E, 3) points in the world that span the extent of the table in this image [m].
+        extent_W: (E, 3) points in the world whose convex hull is the extent of the table in this
+            image [m].
         samples: number of samples on the table.
         rms: root mean square distance of these samples from the table [m].
-        note: empty, or the reason why this image or cloud is not usable by itself.
+        note: empty, or the reason why this image or cloud is not usable by itself; an image without
+            a table is usable with the table of another image.
     """
 
     ray: NDArray[np.float32]
@@ -179,9 +182,9 @@ class _AbovePlane(NamedTuple):
     Attributes:
         frame: image or cloud of the points.
         p_WQ: (N, 3) points in the world [m].
-        number: (N,) indices of the points in the image or cloud.
-        is_higher: (N,) whether each point is higher than depth noise and apparent bend of the
-            table.
+        number: (N,) indices of the points in the image (row-major pixels) or cloud.
+        is_higher: (N,) whether each point is higher above the table than depth noise and the upward
+            bend with which the camera measures a distant flat table.
     """
 
     frame: _Frame
@@ -207,13 +210,13 @@ def segment_depth(
         depth: (H, W) depth along the optical axis [m]; 0 (too near), inf (too far) and NaN
             (missing) are ignored.
         K: (4,) fx, fy, cx, cy [pixel].
-        X_WC: (4, 4) pose of the camera; None: unknown.
+        X_WC: (4, 4) pose of the camera (x right, y down, z forward) in the world; None: unknown.
         config: parameters; None: defaults.
         robot: collision geometry of the robot at the time of the image, whose points are removed;
             None: no points are removed.
 
     Returns:
-        Table and obstacles; if an expected table is not found, only a note with the reason.
+        Table and obstacles; if depth or an expected table is missing, only a note with the reason.
 
     Raises:
         ValueError: without X_WC if `config.table` is False.
@@ -230,17 +233,22 @@ def segment_views(
     obstacle.
 
     The largest table of all images is also used for images without a table, or with a different
-    one. An image with hardly any depth is ignored, and listed in `unusable_views`; if all are
-    ignored, the frame is not usable. Otherwise the images are processed as by `segment_depth`.
+    one. An image in which less than 5 % of the pixels have depth is ignored, and listed in
+    `unusable_views`. If all are ignored, or none shows an expected table, the result is not usable.
+    An unknown pose X_WC is that for which the table in the image is the plane z = 0 of the world,
+    as `segment_depth` describes.
 
     Args:
-        views: one or more depth images: depth, K and X_WC of each, as in `segment_depth`.
+        views: one or more depth images; for each image depth (H, W) along the optical axis [m],
+            K = [fx, fy, cx, cy] [pixel], and the pose X_WC (4, 4) of the camera (x right, y down,
+            z forward) in the world, or None.
         config: parameters; None: defaults.
         robot: collision geometry of the robot at the time of the images, whose points are removed;
             None: no points are removed.
 
     Raises:
-        ValueError: without the pose X_WC of a camera if `config.table` is False.
+        ValueError: without the pose X_WC of a camera, if `config.table` is False or only other
+            images contain a table.
     """
     config = config or SegmentationConfig()
     frames = []
@@ -261,13 +269,14 @@ def segment_points(
     """Segments a point cloud without image structure into the table and one cluster of points per
     obstacle.
 
-    The cloud is processed as an image by `segment_depth`, but clusters are not merged across
-    occluded gaps.
+    As in an image, points above the table form clusters. Clusters are not merged across occluded
+    gaps, since a cloud does not show occlusion.
 
     Args:
-        points: (N, 3) points in the frame C [m]; rows that are not finite or all zero are ignored.
-        X_WC: (4, 4) pose of C: of the camera, or the identity for points in the world; None:
-            unknown.
+        points: (N, 3) points in the frame C of the camera or of the world [m]; rows that are not
+            finite or all zero are ignored.
+        X_WC: (4, 4) pose of C in the world: that of the camera, or the identity for points in the
+            world. None: unknown; then the table defines the world, as for `segment_depth`.
         config: parameters; `near` and `far` have no effect. None: defaults.
         robot: collision geometry of the robot at the time of the cloud, whose points are removed;
             None: no points are removed.
@@ -290,7 +299,7 @@ def _segment(
     in the module's docstring.
 
     Args:
-        frames: images of one instant, or one cloud, without tables.
+        frames: images of one instant, or one cloud, before their tables are found.
         config: parameters of the segmentation.
         robot: collision geometry of the robot, whose points are removed; None: no points are
             removed.
@@ -343,8 +352,8 @@ def _find_plane(frame: _Frame, config: SegmentationConfig) -> _Frame:
     """Fits the support plane to a subsample of an image or cloud (stage 1 of the segmentation).
 
     Returns:
-        The image or cloud with the table, with a note (reason) if depth or table are missing, or
-        unchanged if `config.table` is False.
+        The image or cloud with the table; or with a note, the reason why it is not usable, if depth
+        or table are missing; or unchanged if `config.table` is False.
     """
     # Infinite depth is a measurement of free space; missing depth is none.
     if np.count_nonzero(frame.depth > 0.0) < max(1.0, LEAST_SHARE * frame.depth.size):
@@ -387,7 +396,7 @@ def _points_above(
     since its depth has `DEPTH_NOISE` z^2 and |n . r| = |offset| / z.
 
     Args:
-        frame: image or cloud with its own plane.
+        frame: image or cloud with its own plane, which is used if it differs little from the table.
         table: largest table of all images; None: no table.
         config: `max_height` is used.
 
@@ -444,13 +453,13 @@ def _is_over_table(
     beside the table, and the wall continues beyond the maximum overhang.
 
     Args:
-        means: (M, 3) points in the world frame [m].
-        parts: points of the images, with the extents of their tables.
+        means: (M, 3) mean points of the voxels in the world frame [m].
+        parts: points above the table in each image, with the extent of the table in the image.
         table: the largest table of all images.
         config: `table_margin`, `cluster_tolerance` and `voxel` are used.
 
     Returns:
-        (M,) booleans.
+        (M,) whether each voxel belongs to an object over the table.
     """
     extent_W = np.concatenate([part.frame.extent_W for part in parts])
     distance = distance_beyond(means, extent_W, table.normal_W)
@@ -482,13 +491,13 @@ def _clusters(
     Args:
         means: (M, 3) mean points of the voxels in the world frame [m].
         is_used: (M,) whether each voxel is clustered.
-        voxel_of: (N,) voxel of each point of the images.
-        parts: points of the images or of the cloud.
-        config: `cluster_tolerance`, `voxel` and `min_cluster_voxels` are used; smaller clusters are
-            not merged.
+        voxel_of: (N,) index of the voxel of each point of the images.
+        parts: points above the table in each image, or in the cloud.
+        config: `cluster_tolerance`, `voxel` and `min_cluster_voxels` are used; clusters with fewer
+            than `min_cluster_voxels` voxels are not merged.
 
     Returns:
-        (M,) cluster of each voxel, -1: none.
+        (M,) index of the cluster of each voxel, -1: not clustered.
     """
     label = np.full(len(means), -1)
     label[is_used] = connected_clusters(means[is_used], config.cluster_tolerance)
@@ -530,13 +539,13 @@ def _select_obstacles(
     (stage 7 of the segmentation).
 
     Args:
-        label: (M,) cluster of each voxel, -1: none.
-        is_higher: (M,) whether each voxel is higher than depth noise and apparent bend of the
-            table; None: without a table.
+        label: (M,) index of the cluster of each voxel, -1: none.
+        is_higher: (M,) whether each voxel is higher above the table than depth noise and the upward
+            bend with which the camera measures a distant flat table; None: without a table.
         config: `min_cluster_voxels` is used.
 
     Returns:
-        (M,) obstacle of each voxel, -1: none, 0: the largest.
+        (M,) index of the obstacle of each voxel; -1: none, 0: the largest obstacle.
     """
     sizes = np.bincount(label + 1, minlength=1)[1:]
     is_obstacle = sizes >= config.min_cluster_voxels
@@ -550,12 +559,12 @@ def _select_obstacles(
 
 
 def _pixel_labels(parts: Sequence[_AbovePlane], point_label: IntArray) -> list[NDArray[np.int16]]:
-    """Returns for each image the labels of all its pixels, given the labels of the points above the
-    table.
+    """Returns for each image an array (H W,) with the labels (indices of obstacles or clusters) of
+    all its pixels, given the labels of the points above the table.
 
     Args:
         parts: points above the table in each image or cloud; every other pixel gets the label -1.
-        point_label: (N,) obstacle or cluster of the points of all images in sequence, -1: none.
+        point_label: (N,) labels of the points of all images in sequence, -1: none.
     """
     labels, ends = [], np.cumsum([len(part.number) for part in parts])[:-1]
     for part, values in zip(parts, np.split(point_label, ends), strict=True):
@@ -566,11 +575,14 @@ def _pixel_labels(parts: Sequence[_AbovePlane], point_label: IntArray) -> list[N
 
 
 def _pose_from_plane(plane: PlaneFit) -> FloatArray:
-    """Computes the pose X_WC (4, 4) of a camera in the world that the table defines, as
-    `segment_depth` describes.
+    """Computes the pose X_WC (4, 4) of a camera in the world that the table defines.
+
+    The z axis of the world is the table's normal, its x axis is that of the camera, projected to
+    the table. The origin is the intersection of table and optical axis; without an intersection,
+    the perpendicular foot of the camera on the table.
 
     Args:
-        plane: table in the frame of the camera.
+        plane: table in the frame of the camera (x right, y down, z forward).
     """
     n = plane.normal
     # The ray (0, 0, t) intersects the plane n . p = offset, if in front and not nearly parallel

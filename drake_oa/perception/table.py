@@ -25,8 +25,8 @@ LEAST_SHARE = 0.05
 """Minimum fraction of an image's pixels with depth, and of its sampled points on the support plane;
 with less, the image or plane is rejected [-]."""
 HEIGHT_TOLERANCE = 0.05
-"""Maximum difference of the table's height from the expected height, or between two images, to be
-the same table [m]."""
+"""Maximum difference between the height of a table and its expected height, or between the tables
+in two images that count as the same table [m]."""
 _PLANE_TOLERANCE = 0.006
 """Maximum distance between a plane and a point on it, at zero depth [m]. At depth z the noise
 `DEPTH_NOISE` z^2 is added."""
@@ -41,7 +41,7 @@ _PLANE_TILT_UNKNOWN = math.radians(50.0)
 unknown [rad]."""
 _BANDS = (2.0, 1.0, 0.7, 0.5, 0.5)
 """Maximum distances of the points used in five successive least-squares fits of a plane, relative
-to the tolerance of a point on the plane [-].
+to the maximum distance of a point on the plane (`_PLANE_TOLERANCE` plus depth noise) [-].
 
 The last, narrow bands exclude the feet of objects.
 """
@@ -65,8 +65,8 @@ _TABLE_HEIGHT = 1.3
 _LEAST_TABLE = 0.1
 """Minimum area of a level surface above the floor that counts as a table [m^2]."""
 _LARGEST_TOP = 0.4
-"""Maximum area of a plane that may be the top of a box, so that a wider level below it is the table
-[m^2]."""
+"""Maximum area of a plane that may be the top of a box, so that a larger level surface below it is
+the table [m^2]."""
 _BEYOND_IMAGE = 0.3
 """Distance by which the extent of a table is assumed to continue beyond the border of the image
 [m]."""
@@ -132,17 +132,18 @@ def find_table(
 
     A table of known height is searched near that height. Otherwise the plane with the most points
     (RANSAC) is the table. If that plane is the floor around a table, or the top of a box on a
-    table, the table is found from it (`_find_supporting_level`).
+    table, the table is searched above or below it (`_find_supporting_level`).
 
     Args:
         points: (N, 3) points in the frame of the camera [m].
         distance: (N,) depth of each point along the optical axis, or its distance from the camera
             [m].
-        X_WC: (4, 4) pose of the camera in the world; None: unknown.
+        X_WC: (4, 4) pose of the camera in the world. None: unknown; then the normal of the table
+            must be within 50 degrees of the vertical of a camera pitched down by 45 degrees.
         table_height: height of the table in the world [m]; None: unknown.
 
     Returns:
-        The plane in the frame of the camera; None if no plane has enough points.
+        The plane in the frame of the camera; None if no level plane has enough points.
     """
     up, max_tilt = _UP_UNKNOWN, _PLANE_TILT_UNKNOWN
     if X_WC is not None:
@@ -166,10 +167,11 @@ def find_table(
 
 
 def _search_plane(samples: _Samples) -> tuple[FloatArray, float] | None:
-    """Finds the largest plane whose tilt is accepted, by RANSAC.
+    """Finds the plane with the most samples by RANSAC, among planes that are level enough.
 
     Returns:
-        Unit normal (3,) and offset [m] of the plane; None if none is found.
+        Unit normal (3,) of the plane in the frame of the camera, and its distance from the origin
+        along the normal [m]; None if no such plane is found.
     """
     step = 1 + len(samples.points) // _RANSAC_POINTS
     points, random = samples.points[::step].astype(np.float32), np.random.default_rng(0)
@@ -190,13 +192,13 @@ def _search_plane(samples: _Samples) -> tuple[FloatArray, float] | None:
 
 
 def _find_supporting_level(samples: _Samples, fit: PlaneFit) -> float | None:
-    """Finds a level surface, parallel to a fitted plane, that supports the scene in place of that
-    plane.
+    """Finds a level surface, parallel to a fitted plane, that is the support plane of the scene
+    instead of the fitted plane.
 
-    - If the fitted plane is a floor: the table is a wide level above it, higher than objects, and
-      nearer to the camera.
-    - If the fitted plane is the top of a box: the support is a wider level below it, within the
-      height of objects.
+    - If the fitted plane is a floor: the table is a level surface 0.45 to 1.3 m above it, of at
+      least 0.1 m^2, and nearer to the camera.
+    - If the fitted plane is the top of a box (at most 0.4 m^2): the support is a level surface of
+      larger area at most 0.45 m below it.
 
     Args:
         samples: sampled points of the image or cloud.
@@ -249,8 +251,8 @@ def _refine(
 
     Args:
         samples: sampled points of the image or cloud, with tolerances and conditions.
-        normal: (3,) initial unit normal.
-        offset: initial offset along the normal [m].
+        normal: (3,) initial unit normal in the frame of the camera.
+        offset: initial distance of the plane from the origin along the normal [m].
         allowed: (N,) whether each sample may lie on the plane; None: all.
 
     Returns:
@@ -290,7 +292,7 @@ def table_extent(
 
     Args:
         fit: plane of the table.
-        points: (N, 3) samples to which the plane was fitted [m].
+        points: (N, 3) samples to which the plane was fitted, in the frame of the camera [m].
         pixel: (N,) flat indices of the samples in the grid of sampled pixels.
         shape: rows and columns of the grid.
     """
@@ -320,9 +322,9 @@ def distance_beyond(p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray)
     """Computes how far points lie beyond the convex extent of a table, along its plane.
 
     Args:
-        p_WQ: (N, 3) points [m].
-        table_W: (E, 3) points that span the extent of the table [m].
-        normal_W: (3,) unit normal of the table.
+        p_WQ: (N, 3) points in the world [m].
+        table_W: (E, 3) points in the world whose convex hull is the extent of the table [m].
+        normal_W: (3,) unit normal of the table in the world.
 
     Returns:
         (N,) largest distance of each point beyond the half-planes that bound the extent [m]:

@@ -5,7 +5,8 @@ with noise. A track therefore has remembered points, collected over frames. `upd
 processes a frame in these steps:
 
 1. Prediction: position and velocity of each track are predicted (`velocity`); the remembered points
-   of a moving track move with it. A moving track without measurements coasts.
+   of a moving track move with it. A moving track without measurements is predicted by its velocity
+   for up to 0.5 s (coasting).
 2. Data association: clusters are assigned to tracks (`associate`), first by common points, then by
    the distance of centroids within a gate.
 3. Correction: positions are measured at the sides of obstacles, their ends along the world axes
@@ -16,12 +17,13 @@ processes a frame in these steps:
 6. Output: clouds that changed by more than noise (`select_output_clouds`). Receivers compare clouds
    with the previous ones, and do not replan because of noise.
 
-Evidence of a remembered point, from 1 to 4; it is confirmed, and output, from 2:
+Evidence of a remembered point, from 1 to 4; the point is confirmed, and output, from 2 (from 3 if
+its track rests and was output before; at once if it is in the first frame or a large new cluster):
 
     the images observe                                  evidence
     a point of a cluster there                          + 1
     free space there, in at least one image             at most 1 remains; the next time 0: deleted
-    a surface there, but no cluster of the track        as free space
+    a surface there, but the track has no cluster       as free space
     a surface there, but no point of a cluster          - 1
     an obstacle before its own remembered point         - 1
     nothing: occluded, no depth, outside the images     unchanged
@@ -83,8 +85,11 @@ SAME_RADIUS = 0.008
 """Maximum distance at which an observed point and a remembered point of a track are the same point,
 and are averaged [m]."""
 _PRECEDENCE = np.array([1, 3, 4, 0, 2])
-"""Precedence (5,) of the states HIDDEN, AT, FREE, OUT and EMPTY of a point, if several images
-disagree; the state with the largest number is used."""
+"""Precedence (5,) of the states of a point, if several images disagree; the state with the largest
+number is used.
+
+The states are HIDDEN (occluded), AT (at a surface), FREE (in free space), OUT (outside the image,
+or without depth) and EMPTY (without depth, also far around it)."""
 _MATCH_RADIUS = 0.02
 """Maximum distance from an observed point to a remembered point of a track to count as a common
 point, in data association [m]."""
@@ -92,8 +97,8 @@ _COMMON_POINTS = 4
 """Minimum number of points that a track and an observed cluster must have in common for data
 association to assign the cluster to the track."""
 _COMMON_SHARE = 0.25
-"""Minimum number of points that a track and an observed cluster must have in common, over the size
-of the smaller one, for association [-]."""
+"""Minimum number of points that a track and an observed cluster must have in common, over the
+number of points of the smaller one, for data association to assign the cluster to the track [-]."""
 _GATE = 0.1
 """Gate of the data association: maximum distance between the centroids of a track and a cluster
 without enough common points [m]."""
@@ -103,8 +108,8 @@ _IMMEDIATE_CONFIRMATION_FACTOR = 2.0
 _MEAN_FRAMES = 20
 """Maximum number of frames over which the position of a remembered point of a track is averaged."""
 _OCCLUDED_SHARE = 0.3
-"""Occluded fraction of the remembered points beyond a visible side (end along an axis) of an
-obstacle, from which that side is not measured [-]."""
+"""Minimum occluded fraction of a track's remembered points beyond a visible side (end along a world
+axis) of the obstacle, at which this side does not count as measured [-]."""
 _SIDE_SLACK = 0.004
 """Distance from an obstacle's side (end along an axis) above which a remembered point counts as
 beyond it, in the test for occluded sides [m]."""
@@ -118,8 +123,8 @@ _CORRECTION = 0.003
 """Displacement of a track by the Kalman filter's correction above which remembered points are
 compared with the frame again [m]."""
 _MIN_SUPPORT_RATIO = 0.9
-"""Minimum ratio of a track's remembered points with an observed point nearby, after to before a
-correction of its position, to accept the correction [-]."""
+"""Minimum number of a track's remembered points with an observed point nearby after a correction of
+its position, relative to their number before it, to accept the correction [-]."""
 _SPLIT_FRAMES = 3
 """Number of consecutive frames with an obstacle in separate parts, after which its track is
 split."""
@@ -148,12 +153,14 @@ class Points(Frozen):
     frames.
 
     Attributes:
-        p_OQ: (N, 3) positions in the frame O of the track, which has the axes of the world [m].
+        p_OQ: (N, 3) positions in the frame O of the track, which has the axes of the world and the
+            origin `Tracks.shift_W` in the world [m].
         owner: (N,) row of the track to which each point belongs.
         evidence: (N,) number of supporting frames less contradicting ones, from 1 to
             `_MAX_EVIDENCE`.
         weight: (N,) number of frames in the running mean of the position.
-        confirmed: (N,) whether enough frames support the point.
+        confirmed: (N,) whether the point is confirmed, and thereby output: enough frames have
+            supported it, or it was in the first frame or a large new cluster.
     """
 
     p_OQ: FloatArray = zeros(0, 3)
@@ -170,7 +177,8 @@ class OutputCloud(NamedTuple):
     """Point cloud of one tracked obstacle as it is output.
 
     Attributes:
-        p_OQ: (N, 3) points in the frame O of the track, which has the axes of the world [m].
+        p_OQ: (N, 3) points in the frame O of the track, which has the axes of the world and moves
+            with the obstacle [m].
         p_WQ: (N, 3) points in the world [m].
     """
 
@@ -183,7 +191,7 @@ class TrackerState(Frozen):
     """State of the obstacle tracker after one frame (images of one instant), including its output.
 
     Attributes:
-        obstacles: output of the tracker.
+        obstacles: obstacles in the world frame, the output of the tracker.
         next_id: smallest track ID that was never used.
         tracks: Kalman filters and further state of the tracks.
         points: remembered points of the tracks.
@@ -229,16 +237,17 @@ def append_rows(first: _Rows, second: _Rows) -> _Rows:
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Result of data association: assignment of the points and clusters of a frame to tracks, by
-    the tracks' rows.
+    """Result of data association: assignment of the Q points and C clusters of a frame to tracks,
+    by the tracks' rows. Rows 0 to M - 1 are the existing tracks, rows from M new ones.
 
     Attributes:
-        point_row: (Q,) track of each point; new tracks follow the M existing ones.
-        cluster_row: (C,) track of each cluster; if several own it, the one with the most common
-            points.
+        point_row: (Q,) row of the track of each point.
+        cluster_row: (C,) row of the track of each cluster; if the cluster belongs to several
+            tracks, that of the track with the most common points.
         is_shared: (C,) whether a cluster belongs to several tracks.
-        new_clusters: clusters that start new tracks, in the order of the new rows.
-        partner: (M,) for each smaller track in a shared cluster, the largest track there; -1: none.
+        new_clusters: indices of the clusters that start new tracks, in the order of the new rows.
+        partner: (M,) for each track that shares a cluster with a larger one, the row of the largest
+            track in that cluster; -1: none.
     """
 
     point_row: IntArray
@@ -260,19 +269,21 @@ def associate(
     """Assigns clusters of a frame to tracks (data association): by common points, else by predicted
     centroids.
 
-    A track owns every cluster with enough common points: at least `_COMMON_POINTS`, and at least
-    the fraction `_COMMON_SHARE` of the points of the smaller of both. A cluster that several tracks
-    own is divided: each point belongs to the track of the nearest remembered point. The other
-    clusters are assigned by the least total distance of centroids within the gate (Hungarian
-    method). A cluster that remains starts a new track.
+    A track owns every cluster with enough common points: at least 4 (`_COMMON_POINTS`), and at
+    least 25 % (`_COMMON_SHARE`) of the points of the cluster or track, whichever has fewer. A
+    cluster that several tracks own is divided: each point belongs to the track of the nearest
+    remembered point. The other clusters are assigned to tracks without a cluster by the least total
+    distance of centroids; distances of 10 cm (`_GATE`) or more are rejected (Hungarian method). A
+    cluster that remains starts a new track.
 
     Args:
         points: (Q, 3) points of the frame in the world [m].
-        cluster: (Q,) cluster of each point.
+        cluster: (Q,) index of the cluster of each point.
         clusters: C, number of clusters.
-        votes_for: (Q,) remembered point nearest to each point, -1: none near.
+        votes_for: (Q,) index of the remembered point nearest to each point, the common point of
+            both; -1: none within `_MATCH_RADIUS`.
         track_points: (N, 3) predicted remembered points in the world [m].
-        owner: (N,) track of each remembered point.
+        owner: (N,) row of the track of each remembered point.
         tracks: M, number of tracks.
     """
     sizes = np.bincount(cluster, minlength=clusters)
@@ -322,19 +333,20 @@ def update_tracks(
     *,
     complete: bool = True,
 ) -> TrackerState:
-    """Updates the tracks (obstacles over time) by a new frame, in the steps that the module's
-    docstring lists.
+    """Updates the tracks (obstacles over time) by a new frame: prediction, data association,
+    correction, evidence of the remembered points, split and merged tracks, output.
 
-    A remembered point remains if no image of the frame has information about it. Reasons are: it is
-    occluded by the arm or another obstacle; its pixels have no depth; it lies outside the images;
-    the robot is at its place. An obstacle behind a parked arm is therefore remembered while the arm
-    is there. Two frames with free space at the place of a point, in any of their images, delete it.
+    A track has remembered points, which earlier frames observed on the obstacle's surface. Such a
+    point remains if no image of the frame has information about it. Reasons are: it is occluded by
+    the arm or another obstacle; its pixels have no depth; it lies outside the images; the robot is
+    at its place. An obstacle behind a parked arm is therefore remembered while the arm is there.
+    Two frames with free space at the place of a point, in any of their images, delete it.
 
-    - A frame that is not usable (no valid pixel, no table) changes only the note. A receiver
-      computes the age of the obstacles from the stamp.
+    - A frame that is not usable (hardly any depth, or no table) changes only the note of the
+      output. A receiver computes the age of the obstacles from the stamp.
     - A frame with the stamp of the previous frame is a repetition: it only clears the note.
     - A frame with an earlier stamp resets the tracker, except that no track ID is used twice.
-    - After a gap of more than `velocity.MAX_GAP` between frames all velocities are reset.
+    - After a gap of more than 1 s (`velocity.MAX_GAP`) between frames all velocities are reset.
 
     Args:
         previous: state after the previous frame; `TrackerState()` before the first frame.
@@ -342,7 +354,7 @@ def update_tracks(
             every surface, without occlusion.
         stamp: time of the frame [s].
         config: parameters of the segmentation; None: defaults.
-        robot: collision geometry of the robot at that time, or None.
+        robot: collision geometry of the robot in the world at that time; None: not considered.
         complete: whether all cameras have a usable image. Otherwise points behind a visible part of
             their own obstacle remain, since a missing camera may have observed them.
 
@@ -364,13 +376,19 @@ class _Comparison(NamedTuple):
     """Comparison of N remembered points of tracks with the Q points and V images of a frame.
 
     Attributes:
-        p_WQ: (N, 3) predicted positions of the remembered points in the world [m].
-        nearest: (Q,) remembered point nearest to each point of the frame, -1: none near.
-        to_remembered: (Q,) distance of each point of the frame from that remembered point [m].
-        to_frame: (N,) distance of each remembered point from the nearest point of the frame [m].
-        state: (N,) HIDDEN, AT, FREE, OUT or EMPTY, of the image with the highest precedence.
-        image_state: (V, N) state of each point in each image.
-        pixel: (V, N) pixel of each point in each image, -1 outside it.
+        p_WQ: (N, 3) present positions of the remembered points in the world [m].
+        nearest: (Q,) index of the remembered point nearest to each point of the frame, -1: none
+            within `_MATCH_RADIUS`.
+        to_remembered: (Q,) distance of each point of the frame from that remembered point, at most
+            `_MATCH_RADIUS` [m].
+        to_frame: (N,) distance of each remembered point from the nearest point of the frame, at
+            most `_MATCH_RADIUS` [m].
+        state: (N,) state of each remembered point, from the image with the highest precedence:
+            HIDDEN (occluded), AT (at a surface), FREE (in free space), OUT (outside the image,
+            without depth, or at the place of the robot) or EMPTY (without depth, also far around
+            it).
+        image_state: (V, N) state of each remembered point in each image.
+        pixel: (V, N) flat index of the pixel of each remembered point in each image, -1 outside it.
     """
 
     p_WQ: FloatArray
@@ -383,8 +401,8 @@ class _Comparison(NamedTuple):
 
 
 class _FrameUpdate:
-    """Computation of one update of the tracks by a frame; an instance exists only during
-    `update_tracks`.
+    """Computation of one update of the tracks (obstacles over time) by a frame; an instance exists
+    only during a call of `update_tracks`.
     """
 
     def __init__(
@@ -465,10 +483,11 @@ class _FrameUpdate:
         return _Comparison(p_WQ, nearest, to_remembered, to_frame, state, image_state, pixel)
 
     def _reject_corrections(self, predicted: Tracks, before: _Comparison) -> _Comparison:
-        """Undoes corrections of resting tracks after which the frame supports fewer of their
-        remembered points.
+        """Undoes position corrections of resting tracks after which fewer of their remembered
+        points are near a point of the frame.
 
-        A side of a thin object may be visible at different places in two frames although the object
+        The limit is 90 % of the previous number (`_MIN_SUPPORT_RATIO`). A side (end along a world
+        axis) of a thin object may be visible at different places in two frames although the object
         rests. Then the object's surface does not fit the corrected position.
 
         Args:
@@ -499,11 +518,14 @@ class _FrameUpdate:
         return self._compare()
 
     def _find_self_occluded(self, association: Association, comparison: _Comparison) -> BoolArray:
-        """Finds the remembered points (N,) behind the visible part of their own obstacle, which has
+        """Finds the remembered points behind the visible part of their own obstacle, which has
         moved or rotated.
 
         Such points are behind the obstacle in every image that contains their place. If a camera's
         image is missing, no point counts, since that camera may have observed the rear side.
+
+        Returns:
+            (N,) whether each remembered point is behind its own obstacle.
         """
         if not self.complete or not self.frame.views:
             return np.zeros(len(self.points), dtype=bool)
@@ -515,8 +537,8 @@ class _FrameUpdate:
         return np.asarray(is_behind.any(axis=0) & everywhere)
 
     def _update_motion_evidence(self, comparison: _Comparison, is_behind: BoolArray) -> None:
-        """Updates the motion evidence of each track: the fraction of its visible, confirmed points
-        without an observed point near them.
+        """Updates the motion evidence of each track: the fraction of its visible, confirmed
+        remembered points without an observed point near them.
 
         The new value is the larger one of this fraction and the decayed previous value.
 
@@ -536,11 +558,12 @@ class _FrameUpdate:
         self.tracks = replace(self.tracks, motion_evidence=np.maximum(fraction, decayed))
 
     def _correct(self, association: Association, p_WQ: FloatArray, is_occluded: BoolArray) -> None:
-        """Corrects the positions and velocities of the tracks by the sides and surfaces of
-        obstacles in the frame.
+        """Corrects the positions of the tracks by the sides (ends along the world axes) of
+        obstacles in the frame, and the velocities by their surfaces.
 
         Args:
-            association: assignment of clusters; sides of shared clusters are not measured.
+            association: assignment of clusters to tracks; sides of a cluster that belongs to
+                several tracks are not measured.
             p_WQ: (N, 3) remembered points in the world [m].
             is_occluded: (N,) whether each remembered point is occluded.
         """
@@ -571,8 +594,12 @@ class _FrameUpdate:
     def _update_evidence(
         self, association: Association, comparison: _Comparison, is_behind: BoolArray
     ) -> None:
-        """Updates the evidence of the remembered points by the table in the module's docstring, and
+        """Updates the evidence (supporting less contradicting frames) of the remembered points, and
         deletes points without evidence.
+
+        The evidence of a point increases by 1 near an observed point. In free space it becomes at
+        most 1, and 0 if it was 1. At another surface, or behind its own obstacle, it decreases by
+        1. The module's docstring has the complete table.
 
         Args:
             association: assignment of the frame's points and clusters to tracks.
@@ -601,8 +628,8 @@ class _FrameUpdate:
         self.points = select_rows(replace(points, evidence=evidence, confirmed=confirmed), remains)
 
     def _update_points(self, association: Association, comparison: _Comparison) -> None:
-        """Averages each remembered point with the observed points of its track within
-        `SAME_RADIUS`, and adds observed points without a near remembered point.
+        """Averages each remembered point with the observed points of its track within 8 mm
+        (`SAME_RADIUS`), and adds observed points without a remembered point within this distance.
         """
         point_of = np.append(self._new_row, -1)[comparison.nearest]
         row = association.point_row
@@ -631,10 +658,11 @@ class _FrameUpdate:
         self.points = append_rows(self.points, new_points)
 
     def _split_tracks(self, association: Association, comparison: _Comparison) -> None:
-        """Splits each track whose obstacle has been in separate parts for `_SPLIT_FRAMES` frames.
+        """Splits each track whose obstacle has been in separate parts for several frames.
 
-        Occluded remembered points connect the parts of one track. The part of the largest cluster
-        retains the track ID; the other parts become new tracks.
+        The number of consecutive frames is 3 (`_SPLIT_FRAMES`). Parts that occluded remembered
+        points connect are not separate. The part of the largest cluster retains the track ID; the
+        other parts become new tracks.
         """
         tracks, points = self.tracks, self.points
         is_unobserved = (comparison.state != AT) & (comparison.state != FREE)
@@ -675,9 +703,11 @@ class _FrameUpdate:
         self.tracks = append_rows(self.tracks, replace(tracks, ids=ids))
 
     def _merge_tracks(self, association: Association) -> None:
-        """Merges tracks that have shared one cluster with similar velocities for `_MERGE_TIME`.
+        """Merges tracks that have shared one cluster with similar velocities for some time.
 
-        The points of the smaller track become those of the largest track in the cluster.
+        The time is 0.5 s (`_MERGE_TIME`), the maximum difference of the velocities 0.1 m/s
+        (`_MAX_VELOCITY_DIFFERENCE`). The points of the smaller track become those of the largest
+        track in the cluster.
         """
         tracks = self.tracks
         rows = np.flatnonzero(association.partner >= 0)
@@ -708,7 +738,7 @@ class _FrameUpdate:
 
     def _min_points(self) -> int:
         """Returns the minimum number of remembered points for a track to persist, and of confirmed
-        points for its output.
+        remembered points for its output.
         """
         return max(4, self.config.min_cluster_voxels // 2)
 
@@ -752,7 +782,10 @@ def select_output_clouds(
     """Selects the output cloud of each track: the previous cloud if the new one differs only by
     noise.
 
-    Clouds that differ only by noise remain the same object, so that receivers do not replan.
+    A difference is noise if the extent in each of 26 directions grows by at most 2.5 mm and shrinks
+    by at most 5 mm, and the number of points changes by at most 10 %. Then the points remain
+    bitwise equal in the frame O of the track, so that receivers do not replan for an obstacle at
+    rest.
 
     Args:
         ids: (M,) track IDs.
@@ -788,8 +821,8 @@ def select_output_clouds(
 def select_output_table(
     previous: TablePlane | None, measured: TablePlane | None
 ) -> TablePlane | None:
-    """Returns the table that is output: the previous plane, unless the measured one differs by more
-    than `_TABLE_SHIFT`.
+    """Returns the table that is output: the previous plane, unless the height of the measured one
+    differs by more than 3 mm (`_TABLE_SHIFT`) within 1 m of the world origin.
 
     Args:
         previous: plane in the previous output; None: no plane.

@@ -16,8 +16,8 @@ the arm occludes a part. A side does not, as long as the image contains free spa
 Velocity is measured by the displacement of the surface since an earlier frame: `register_surface`
 aligns the points of both frames (`measure_velocities`).
 
-A track rests or moves (`_decide_motion`). The points of a moving track move with the filter's
-position; those of a resting track do not move, and its output velocity is zero.
+A track rests or moves (`_decide_motion`). The remembered surface points of a moving track move with
+the filter's position; those of a resting track do not move, and its output velocity is zero.
 """
 
 from __future__ import annotations
@@ -61,8 +61,9 @@ seems to rest, above it motion is likely [-]."""
 _STOP_TIME = 0.1
 """Duration of uninterrupted evidence of rest after which a moving track counts as resting [s]."""
 _OUTLIER = 5.0
-"""Gate of a measured position of a track, in standard deviations of its prediction error [-];
-beyond it, the measurement is an outlier."""
+"""Gate: maximum difference between measured and predicted position or velocity of a track, in
+standard deviations of this difference [-]. A position beyond the gate is an outlier; a velocity
+beyond it shows that the obstacle has changed its motion."""
 _JUMP = 0.01
 """Minimum displacement at which a resting obstacle counts as moved to another place, so that its
 remembered points are moved there [m]."""
@@ -78,11 +79,12 @@ UNMEASURED_TIME = 0.2
 """Time without a measurement along an axis after which the velocity of a resting track along that
 axis is set to zero [s]."""
 _SIGNIFICANT_SCORE = 3
-"""Increase of a track's motion score by a frame with a significant velocity; a likely velocity adds
-1. The track starts to move at `_MOVING_SCORE`."""
+"""Increase of a track's motion score by a frame with a significant velocity (speed statistic above
+`START_STATISTIC`). A frame with a likely velocity (above `_STOP_STATISTIC`, with strong motion
+evidence) adds 1. A resting track starts to move at the score `_MOVING_SCORE`."""
 _MOVING_SCORE = 2 * _SIGNIFICANT_SCORE
-"""Motion score (sum over consecutive frames with a significant or likely velocity) at which a
-resting track starts to move."""
+"""Motion score at which a resting track starts to move: the sum, over consecutive frames, of
+`_SIGNIFICANT_SCORE` for a significant velocity and 1 for a likely one."""
 _REST_RADIUS = 0.004
 """Displacement from its resting position beyond which an obstacle can start to move [m]."""
 _MIN_EVIDENCE = 0.04
@@ -104,22 +106,25 @@ class Tracks(Frozen):
         ids: (M,) track IDs.
         state: (M, 3, 2) filtered position [m] and velocity [m/s] along each world axis. The
             position is that of a point fixed to the obstacle, initially its centroid.
-        covariance: (M, 3, 2, 2) covariance of the state.
+        covariance: (M, 3, 2, 2) covariance of position and velocity along each world axis.
         shift_W: (M, 3) translation from the frame O of the remembered points to the world [m]: p_WQ
             = p_OQ + shift_W.
-        p_shift_W: (M, 3) position of the obstacle at which its points are placed [m]: the filtered
-            position, at rest its running mean.
-        sides: (M, 3, 2) lowest and highest side along the world axes, relative to the position [m];
-            NaN while unknown.
+        p_shift_W: (M, 3) position of the obstacle in the world for which its remembered points are
+            placed by `shift_W` [m]: the filtered position of a moving obstacle, the running mean of
+            the filtered position of a resting one.
+        sides: (M, 3, 2) lowest and highest side (end) of the obstacle along each world axis,
+            relative to the filtered position [m]; NaN while unknown.
         area: (M,) largest visible area, perpendicular to the line of sight [m^2].
         is_moving: (M,) whether the obstacle moves.
-        motion_evidence: (M,) recent maximum of the fraction of the visible part that is not at its
-            remembered place.
+        motion_evidence: (M,) fraction of the visible remembered points without an observed point
+            near them, in [0, 1]: the slowly decaying maximum over the last frames.
         motion_score: (M,) sum of the scores of consecutive frames with a significant velocity (each
-            `_SIGNIFICANT_SCORE`) or a likely one (each 1).
+            `_SIGNIFICANT_SCORE`, or `_MOVING_SCORE` if certain) or a likely one (each 1). From
+            `_MOVING_SCORE` on, a resting obstacle moves.
         rest_time: (M,) duration of the present evidence of rest [s].
         unmeasured_time: (M, 3) time since the last measurement along each world axis [s].
-        is_outlier: (M, 3) whether the last measurement along each axis was an outlier.
+        is_outlier: (M, 3) whether the last position measured along each axis was an outlier, more
+            than `_OUTLIER` standard deviations from its prediction.
         split_frames: (M,) number of consecutive frames with the obstacle in separate parts.
         merged_time: (M,) time since the track shares one cluster with a larger track, both with
             similar velocities [s].
@@ -160,7 +165,7 @@ class Tracks(Frozen):
 
 
 def new_tracks(p_W: FloatArray) -> Tracks:
-    """Returns new tracks of M obstacles at the positions p_W (M, 3) [m].
+    """Returns new tracks of M obstacles at the positions p_W (M, 3) in the world [m].
 
     The tracks are at rest with unknown sides, and have ID 0 until the tracker numbers them.
     """
@@ -187,9 +192,9 @@ def kalman_update(tracks: Tracks, kind: int, measured: FloatArray, variance: Flo
 
     Args:
         tracks: predicted tracks with states x and covariances P.
-        kind: column of the state.
-        measured: (M, 3) z [m or m/s]; NaN: no measurement.
-        variance: (M, 3) r [m^2 or m^2/s^2].
+        kind: 0 for positions, 1 for velocities.
+        measured: (M, 3) measurements z along the world axes [m or m/s]; NaN: no measurement.
+        variance: (M, 3) variances r of the measurements [m^2 or m^2/s^2].
     """
     P, is_measured = tracks.covariance, np.isfinite(measured)
     innovation = np.where(is_measured, measured - tracks.state[..., kind], 0.0)
@@ -219,8 +224,8 @@ def predict_tracks(tracks: Tracks, dt: float) -> Tracks:
     """Predicts the tracks dt [s] >= 0 ahead by their velocities; remembered points of moving tracks
     move with them.
 
-    A moving track without a measurement for `COAST_TIME` stops at its last predicted position. All
-    tracks stop after a gap of more than `MAX_GAP` between frames.
+    A moving track without a measurement for 0.5 s (`COAST_TIME`) stops at its last predicted
+    position. All tracks stop after a gap of more than 1 s (`MAX_GAP`) between frames.
     """
     gap = dt > MAX_GAP
     is_moving = (
@@ -260,16 +265,18 @@ def correct_tracks(
     """Corrects the tracks by the positions and velocities measured in a frame, and decides which
     tracks move.
 
-    A position beyond the gate is an outlier, and is rejected. A second outlier in a row is a
-    maneuver and is accepted: the variance of the position grows by the square of the jump, and the
-    velocity becomes as uncertain as that of a new track. So does a velocity before a measured one
-    beyond the gate: an obstacle that rested has started to move.
+    The gate is a difference between measurement and prediction of `_OUTLIER` (5) standard
+    deviations, along each axis. A measured position beyond it is an outlier, and is rejected. A
+    second outlier in a row is accepted, since the obstacle has changed its motion: the variance of
+    the predicted position grows by the square of the difference, and the predicted velocity becomes
+    as uncertain as that of a new track. The predicted velocity also becomes as uncertain if the
+    measured velocity is beyond the gate, for example when a resting obstacle starts to move.
 
     Args:
         tracks: predicted tracks.
-        sides: sides of the obstacles in the frame.
+        sides: sides (ends along the world axes) of the obstacles in the frame.
         deviation: (M,) standard deviations of depth at the obstacles, from `depth_deviation` [m].
-        v_W: (M, 3) measured velocities of the surfaces [m/s]; NaN: not measured.
+        v_W: (M, 3) measured velocities of the surfaces in the world [m/s]; NaN: not measured.
         v_variance: (M, 3) variances of `v_W` [m^2/s^2].
         dt: time since the previous frame [s].
     """
@@ -313,8 +320,9 @@ def _decide_motion(
 
     - v: velocity, with covariance P_v;
     - S: speed statistic v^T P_v^-1 v;
-    - D: motion evidence, the fraction of the visible points that are not observed again;
-    - d: distance of the filtered position from the position of the remembered points.
+    - D: motion evidence, the fraction of the visible remembered points that are not observed again;
+    - d: distance of the filtered position from the position at which the remembered points are
+      placed (`Tracks.p_shift_W`).
 
     A track is suspect if it moves, has a measured velocity, or has D > _MIN_EVIDENCE. A frame is
     certain if the velocity is measured and S > _CERTAIN_STATISTIC. It is significant if S >
@@ -380,8 +388,8 @@ surface normal."""
 _ITERATIONS = 4
 """Number of iterations of the registration that measures the displacement between two surfaces."""
 _MAX_SPREAD_RATIO = 0.5
-"""Maximum standard deviation of a displacement from which a velocity is measured, relative to the
-standard deviation of its prior [-]."""
+"""Maximum standard deviation of a displacement along an axis for the velocity along this axis to
+count as measured, relative to the standard deviation of the prior displacement [-]."""
 _CORRELATED_POINTS = 12.0
 """Number of neighboring points assumed to share one depth error, since camera noise is smooth over
 pixels. It divides the weight of each point in the registration [-]."""
@@ -389,11 +397,12 @@ _GATE = 0.02
 """Maximum distance between corresponding points of two surfaces in the last iteration of their
 registration [m]."""
 _BETTER_FIT = 0.8
-"""Maximum ratio of two misfits (mean distances between two surfaces after their registration) at
-which the registration from an alternative start counts as clearly better [-]."""
+"""Maximum misfit (sum of mean distances between two surfaces after their registration) of the
+registration from an alternative start, relative to that from the prediction, at which the
+alternative counts as clearly better [-]."""
 _SPEED_STEP = 0.1
-"""Maximum apparent speed that one depth step of the camera may cause in a measured velocity: the
-step over the age of the earlier frame [m/s]."""
+"""Maximum apparent speed that one depth step (resolution of the camera's depth) may cause in a
+measured velocity: the step over the age of the earlier frame [m/s]."""
 _CONSTANT_DEPTH = 1.2
 """Depth beyond which the standard deviation of a measured point grows with the square of the depth
 [m]."""
@@ -431,20 +440,22 @@ def register_surface(
 
     Here p_i are local means of the earlier points, and q_i and n_i mean and normal of the nearest
     later points (Chen and Medioni 1992). The weights w_i reject edges and outliers. The iterations
-    start at the guess, and converge to a wrong minimum if it is farther from the displacement than
-    a side of the obstacle is wide. They are repeated from an alternative start, whose result is
-    used if the surfaces then fit clearly better.
+    start at the guess. They converge to a wrong minimum if the guess differs from the true
+    displacement by more than the width of a face of the obstacle. They are therefore repeated from
+    an alternative start, whose result is used if the mean distance between the surfaces is then at
+    most 0.8 times as large (`_BETTER_FIT`).
 
     Args:
         before, now: (N, 3) earlier and (M, 3) later surface in the world [m].
-        guess: (3,) predicted displacement [m].
-        prior: standard deviation of the guess [m].
-        deviation: standard deviation of a point [m].
-        alternative: (3,) another displacement at which the iterations start [m].
+        guess: (3,) predicted displacement in the world [m].
+        prior: standard deviation of each component of the guess [m].
+        deviation: standard deviation of a measured point [m].
+        alternative: (3,) another displacement in the world at which the iterations start [m];
+            without effect within 2 cm of the guess along each axis. None: no alternative.
 
     Returns:
-        (3,) displacement [m], and (3,) its variances [m^2]. If a surface has fewer than
-        `_NEIGHBORS` points: the guess, and prior^2.
+        (3,) displacement in the world [m], and (3,) its variances [m^2]. If a surface has fewer
+        than 8 points (`_NEIGHBORS`): the guess, and prior^2.
     """
     if min(len(before), len(now)) < _NEIGHBORS:
         return np.array(guess), np.full(3, prior**2)
@@ -497,10 +508,11 @@ def register_surface(
 
 def depth_deviation(p_W: FloatArray, views: Sequence[View]) -> FloatArray:
     """Computes the standard deviation (M,) of the depth [m] that the nearest camera measures at
-    each position p_W (M, 3) [m].
+    each position p_W (M, 3) in the world [m].
 
-    It is `SIDE_DEVIATION`, and beyond `_CONSTANT_DEPTH` it grows with the square of the depth. A
-    depth step of a structured-light camera is twice as large.
+    It is 1.5 mm (`SIDE_DEVIATION`), and beyond a depth of 1.2 m (`_CONSTANT_DEPTH`) it grows with
+    the square of the depth. A depth step (resolution) of a structured-light camera is twice as
+    large. Without `views`, for a point cloud, it is 1.5 mm.
     """
     depths = [(p_W - view.X_WC[:3, 3]) @ view.X_WC[:3, 2] for view in views]
     nearest = np.min(depths, axis=0) if depths else np.ones(len(p_W))
@@ -516,27 +528,31 @@ def measure_velocities(
     deviation: FloatArray,
     stamp: float,
 ) -> tuple[FloatArray, FloatArray, dict[int, Reference]]:
-    """Measures velocities of tracks by the displacements of their surfaces since a reference frame
-    (an earlier frame).
+    """Measures velocities of tracks by the displacements of their surfaces since an earlier frame,
+    the reference.
 
     The depth of a structured-light camera has steps that grow with the square of the depth. Between
     consecutive frames the depth of a distant obstacle remains within one step, as if the obstacle
-    rested. The reference is therefore older: it remains until a step is less than `_SPEED_STEP`
-    times its age. Each reference is used once, so that no displacement is counted twice.
+    rested. The reference is therefore older: it remains until a step is at most 0.1 m/s
+    (`_SPEED_STEP`) times its age, or until its age is `_MAX_REFERENCE_AGE`. Each reference is used
+    once, so that no displacement is counted twice. The velocity of a resting track is measured only
+    if the track has motion evidence, or its centroid differs from that of the reference by more
+    than `_REST_RADIUS` along an axis.
 
     Args:
         tracks: M predicted tracks.
-        references: earlier surfaces, by track ID.
+        references: surface of each track in its reference frame, by track ID.
         p_WQ: (Q, 3) points of this frame in the world [m].
-        point_row: (Q,) track of each point.
-        cluster: (Q,) cluster of each point. All points of a track's clusters are registered, since
-            points of a merged cluster may belong to its surface.
-        deviation: (M,) standard deviations from `depth_deviation` [m].
+        point_row: (Q,) row of the track of each point.
+        cluster: (Q,) index of the cluster of each point. All points of a track's clusters are
+            registered, since points that belong to another track in the same cluster may be on the
+            surface of this one.
+        deviation: (M,) standard deviations of depth at the obstacles, from `depth_deviation` [m].
         stamp: time of the frame [s].
 
     Returns:
-        (M, 3) velocities [m/s], NaN along axes that are not measured; (M, 3) their variances
-        [m^2/s^2]; and the references for the next frame.
+        (M, 3) velocities in the world [m/s], NaN along axes that are not measured; (M, 3) their
+        variances [m^2/s^2]; and the references for the next frame, by track ID.
     """
     v_W, variance = np.full((len(tracks), 3), np.nan), np.ones((len(tracks), 3))
     new_references = {}
@@ -569,11 +585,10 @@ def measure_velocities(
 
 
 _BEHIND = 0.01
-"""Depth by which the image must be behind the continuation of an obstacle beyond its side (end
-along an axis), to show its end there [m].
+"""Minimum depth by which a pixel of an obstacle must be behind the straight line from a side (end
+along a world axis) outward along the axis, to show that the obstacle ends there [m].
 
-The value applies to pixels of the same obstacle at a depth of 1 m, and grows with the square of the
-depth.
+The value applies to an obstacle at a depth of 1 m, and grows with the square of the depth.
 """
 _STEPS = np.arange(1, 24)
 """Distances from a side (end along an axis) of an obstacle at which the image is searched for free
@@ -598,13 +613,14 @@ def sample_surfaces(
     """Samples points on the visible surfaces of tracked obstacles in an image.
 
     Args:
-        label: (H W,) cluster of each pixel, -1: none.
-        rows: (C + 1,) track of each cluster, -1: not sampled; the last element is -1.
+        label: (H W,) index of the cluster of each pixel, -1: no cluster.
+        rows: (C + 1,) row of the track of each cluster, -1: a cluster that is not sampled. The last
+            element is -1, for pixels without a cluster.
         view: depth image.
 
     Returns:
-        (S, 3) points in the world [m]; (S,) area of a pixel at each of them [m^2]; (S,) their
-        tracks; (S,) number of pixels that each point represents.
+        (S, 3) points in the world [m]; (S,) area of a pixel at each of them [m^2]; (S,) rows of
+        their tracks; (S,) number of pixels that each point represents.
     """
     z, K, X_WC = view
     pixel = np.flatnonzero(label >= 0)
@@ -630,20 +646,29 @@ def count_open_sides(
     """Counts the points at the sides of obstacles (ends along the world axes) with free space
     beyond them.
 
-    From each point of a side, the image is searched outward until the first pixel that decides:
+    From each point at a side, a straight line outward along the world axis is followed in the image
+    until the first pixel that decides. Of several rows, the first one applies:
 
         pixel                                                        the obstacle
-        behind the obstacle's continuation beyond the side           ends at the side
+        of the obstacle, behind the line                             ends at the side
+        of anything else, over 3 cm behind the point                 ends at the side
         12 pixels without depth in a row                             ends at the side
-        before the obstacle, or above the table beside it            may continue
+        of anything else, over 3 cm before the point                 may continue
+        of anything else, over 3 cm above the table                  may continue
         outside the image                                            may continue
+        none of 23 pixels decides                                    may continue
+
+    Beside a side that is nearly along the line of sight no pixel is informative; there, the
+    obstacle is assumed to end.
 
     Args:
-        points: (S, 3) points in the world [m].
-        row: (S,) track of each point.
-        sides: (M, 3, 2) lowest and highest side of each track along each world axis [m].
-        label: (H W,) cluster of each pixel, -1: none.
-        rows: (C + 1,) track of each cluster, -1: not sampled; the last element is -1.
+        points: (S, 3) points of the obstacles' visible surfaces in the world [m].
+        row: (S,) row of the track of each point.
+        sides: (M, 3, 2) coordinate of the lowest and highest side of each track along each world
+            axis [m]; points beyond it are at the side.
+        label: (H W,) index of the cluster of each pixel, -1: no cluster.
+        rows: (C + 1,) row of the track of each cluster, -1: a cluster whose sides are not measured.
+            The last element is -1, for pixels without a cluster.
         view: depth image.
         table: support plane in the world.
 
@@ -696,11 +721,11 @@ _MIN_AREA_SHARE = 0.15
 """Minimum visible area of an obstacle, relative to the largest in earlier frames, for its position
 to be measured by its sides [-]."""
 _GROWTH = 1.1
-"""Ratio of an obstacle's visible area to the largest in earlier frames, above which it is entering
-the image, and its sides are uncertain [-]."""
+"""Ratio of an obstacle's visible area to the largest in earlier frames, above which the obstacle is
+entering the image, so that its measured sides (ends along the axes) are uncertain [-]."""
 _GROWTH_FACTOR = 6.0
-"""Factor by which the standard deviation of the sides increases for an obstacle that is entering
-the image [-]."""
+"""Factor by which the standard deviation of the measured sides (ends along the axes) increases for
+an obstacle that is entering the image [-]."""
 _SIDE_GRAIN = 0.7
 """Standard deviation of a measured side (end along an axis) of an obstacle due to the image's
 resolution [pixel]."""
@@ -718,8 +743,8 @@ class Sides:
     fixed area of the obstacle lies.
 
     Attributes:
-        place: (M, 3, 2) lowest and highest side along each world axis [m]; NaN without visible
-            points.
+        place: (M, 3, 2) world coordinates of the lowest and highest side along each axis [m]; NaN
+            without visible points.
         ends: (M, 3, 2) whether the obstacle ends at the side; False: it may continue, occluded or
             outside the image.
         area: (M,) visible area, perpendicular to the line of sight [m^2].
@@ -741,9 +766,10 @@ def find_sides(
 
     Args:
         frame: segmented frame; in a cloud every obstacle ends at its sides.
-        cluster_row: (C,) track of each cluster, -1: not measured.
+        cluster_row: (C,) row of the track of each cluster; -1: not measured, because the cluster
+            belongs to several tracks.
         known_area: (M,) largest visible area of each track in earlier frames [m^2].
-        voxel: edge of a voxel, for clouds [m].
+        voxel: edge length of a voxel [m], for the areas of points in a cloud.
     """
     count, rows = len(known_area), np.append(cluster_row, -1)
     parts = [
@@ -790,22 +816,27 @@ def measure_positions(
     """Computes the positions of tracked obstacles along each axis from their m visible sides, and
     the variances of the positions.
 
-    Symbols: sigma is the standard deviation of depth, delta the width of a pixel, and rho the
-    occluded fraction of the known area. The mean of the sides has the variance
+    The position along an axis is the mean, over the m = 1 or 2 visible and known sides (ends of the
+    obstacle), of the side in this frame minus the known side relative to the position.
+
+    Symbols: sigma is the standard deviation of depth, delta the width of a pixel at the obstacle,
+    and rho the occluded fraction of `known_area`. The position has the variance
 
         (sigma^2 + (_SIDE_GRAIN delta)^2) (1 + _OCCLUSION_FACTOR rho)^2 / m
 
-    For an obstacle that is entering the image, it is larger by the square of `_GROWTH_FACTOR`.
+    For an obstacle that is entering the image (its visible area is more than `_GROWTH` times
+    `known_area`), it is larger by the square of `_GROWTH_FACTOR`.
 
     Args:
         sides: sides in this frame.
-        known_sides: (M, 3, 2) sides relative to the position [m]; NaN: unknown.
+        known_sides: (M, 3, 2) lowest and highest side along each world axis, relative to the
+            position [m]; NaN: unknown.
         known_area: (M,) largest visible area of each track in earlier frames [m^2].
-        deviation: (M,) standard deviations of depth, from `depth_deviation` [m].
+        deviation: (M,) standard deviations of depth at the obstacles, from `depth_deviation` [m].
 
     Returns:
-        (M, 3) positions [m], NaN along an axis without a visible known side; (M, 3) variances
-        [m^2].
+        (M, 3) positions in the world [m], NaN along an axis without a visible known side, or if
+        less than 15 % (`_MIN_AREA_SHARE`) of `known_area` is visible; (M, 3) variances [m^2].
     """
     position = sides.place - known_sides
     usable = sides.ends & np.isfinite(position)
@@ -822,16 +853,17 @@ def measure_positions(
 
 
 def learn_sides(sides: Sides, known_sides: FloatArray, p_W: FloatArray) -> FloatArray:
-    """Updates the known sides of tracked obstacles, relative to their positions, by the sides in a
-    frame.
+    """Updates the known sides (ends along the world axes) of tracked obstacles, relative to their
+    positions, by the sides in a frame.
 
-    A side that is visible for the first time is stored. Of two known sides only the distance is
-    averaged over frames, since the position must not drift.
+    A side that is visible for the first time is stored. Of two known sides only the distance
+    between them is averaged over frames, since the position must not drift.
 
     Args:
         sides: sides in the frame.
-        known_sides: (M, 3, 2) sides relative to the positions [m]; NaN: unknown.
-        p_W: (M, 3) positions of the obstacles [m].
+        known_sides: (M, 3, 2) lowest and highest side along each world axis, relative to the
+            positions [m]; NaN: unknown.
+        p_W: (M, 3) positions of the obstacles in the world [m].
 
     Returns:
         (M, 3, 2) updated known sides [m].

@@ -3,7 +3,8 @@
 Parts of obstacles beyond the border of an image are not observed. The upper end of a post that
 extends above the image, or its foot nearer than the minimum depth, is unknown. No motion may pass
 there. A cloud that ends at the upper or lower border, or at the minimum depth, is therefore
-extended upright by its visible length. Left and right borders do not extend it.
+extended vertically by its visible height, at most by 0.5 m. Left and right borders do not extend
+it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def mutual_nearest(
 
     Args:
         query: (Q, 3) query points [m].
-        points: (N, 3) points [m].
+        points: (N, 3) points in the same frame [m].
         radius: maximum distance [m].
 
     Returns:
@@ -43,15 +44,16 @@ def mutual_nearest(
 
 
 _MAX_EXTENSION = 0.5
-"""Maximum length by which an obstacle that the border of an image truncates is extended [m]."""
+"""Maximum height by which an obstacle that the border of an image truncates is extended vertically
+[m]."""
 _BORDER_DISTANCE = 1.5 * VOXEL
 """Maximum distance of a point from the border of the image, or from the minimum depth, at which an
 obstacle counts as truncated there [m]."""
 
 
 class ImageRange(NamedTuple):
-    """Vertical range of a pinhole camera's image and its minimum depth, beyond which obstacles may
-    be truncated.
+    """Vertical range of a pinhole camera's image, and the camera's minimum depth: the limits at
+    which obstacles may be truncated.
 
     Attributes:
         fy, cy, height: focal length, principal point and height of the image along its columns
@@ -70,8 +72,8 @@ def with_occluded_extents(
     cameras: Sequence[tuple[FloatArray, ImageRange]],
     seen_free: Callable[[FloatArray], BoolArray] | None = None,
 ) -> ObstacleClouds:
-    """Extends the clouds of obstacles that the border of an image truncates, upright by their
-    visible length.
+    """Extends the clouds of obstacles that the border of an image truncates, vertically by their
+    visible height.
 
     Args:
         obstacles: observed obstacles.
@@ -95,8 +97,8 @@ def with_occluded_extents(
 
 
 def _extents(cloud: FloatArray, X_WC: FloatArray, image: ImageRange) -> Iterator[FloatArray]:
-    """Yields points (M, 3) [m] that extend an obstacle's cloud beyond each border of an image at
-    which it is truncated.
+    """Yields points (M, 3) in the world [m] that extend an obstacle's cloud vertically beyond each
+    border of an image, and the minimum depth, at which it is truncated.
 
     Args:
         cloud: (N, 3) points of the obstacle in the world [m].
