@@ -11,10 +11,11 @@ Systems, both without state:
 - `GivenEllipsoidSource` outputs the constant ellipsoids of a scenario (`!GivenEllipsoids`).
 
 Each cloud is dilated by the reflected tool (Minkowski sum). The method "enclosing" computes the
-ellipsoid of minimum volume that contains the dilated cloud, "least_squares" the fit (11) of Pairet
-et al., RA-L 2019. Start and goal are known to be free. If the ellipsoid would contain one of them,
-the cloud is divided into up to eight parts, and the tool into its convex parts. The obstacle then
-has several rows in the output, whose IDs differ by multiples of `messages.PART_ID_STRIDE`.
+ellipsoid of minimum volume that contains the dilated cloud, "least_squares" the superquadric fit
+(11) of Pairet et al., RA-L 2019. Start and goal are known to be free. If the enclosing ellipsoid
+would contain one of them, or come within 2 cm, the cloud is divided into up to eight parts, and the
+tool into its convex parts. The obstacle then has several rows in the output, whose IDs differ by
+multiples of `messages.PART_ID_STRIDE`.
 
 Read first: `descriptor.describe`.
 """

@@ -20,9 +20,10 @@ from drake_oa.geometry.superquadric import fit_superquadric
 HALVINGS = (1, 2, 3)
 """Numbers of successive halvings by which an obstacle's cloud is divided into parts.
 
-They are tried in this order until the ellipsoids of the parts do not contain start or goal."""
+They are tried in this order until the ellipsoids of the parts are at least 2 cm (`_ROOM`) away from
+the points that are known to be free, such as start and goal."""
 _FEWEST = 8
-"""Number of points below which the cloud of an obstacle is not halved into parts."""
+"""Number of points below which a cloud, or a part of it, is not halved."""
 _MERGED = 1.3
 """Maximum volume of a bounding box around two tool parts for which both parts are merged [-].
 
@@ -34,7 +35,7 @@ def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
 
     Args:
         points: (N, 3) points [m].
-        halvings: number of halvings.
+        halvings: number of successive halvings; each divides all parts of the previous one.
 
     Returns:
         At most 2^halvings clouds (N_i, 3) [m], which together contain each point once. Fewer than 8
@@ -53,11 +54,14 @@ def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
 def merged_parts(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     """Merges convex parts of a tool if their common bounding box is hardly larger than their boxes.
 
+    Two parts are merged if the volume of the common axis-aligned box is at most 1.3 times the sum
+    of the volumes of their boxes (`_MERGED`).
+
     Args:
-        parts: vertices (K_i, 3) of each convex part of the tool [m].
+        parts: vertices (K_i, 3) of each convex part of the tool, all in one frame [m].
 
     Returns:
-        Vertices (K_j, 3) of each merged part [m].
+        Vertices (K_j, 3) of each merged part in the same frame [m].
     """
     merged = [np.asarray(part, dtype=float) for part in parts]
     i = 0
@@ -79,14 +83,17 @@ def _box_volume(points: FloatArray) -> float:
 
 
 Method = Literal["enclosing", "least_squares"]
-"""Name of a method by which `describe` computes the ellipsoid of a dilated cloud."""
+"""Name of a method by which `describe` computes the ellipsoid of a dilated cloud: the enclosing
+ellipsoid of minimum volume, or the least-squares superquadric fit of Pairet et al., RA-L 2019."""
 
 _ROOM = 0.02
-"""Distance of start or goal from an ellipsoid below which the obstacle is divided in parts [m]."""
+"""Distance of a point that is known to be free, such as start or goal, from an ellipsoid, below
+which the obstacle is divided in parts [m]."""
 
 
 Shape = tuple[FloatArray, FloatArray, FloatArray]
-"""Ellipsoid as a tuple of center (3,) [m], rotation (3, 3) and semi-axes (3,) [m]."""
+"""Ellipsoid as a tuple of center (3,) in the world [m], rotation (3, 3) with the principal axes in
+the world as columns, and semi-axes (3,) [m]."""
 
 
 def describe(
@@ -114,8 +121,9 @@ def describe(
             such as start and goal [m]. An obstacle is divided into parts if the ellipsoid contains
             one of these positions or is closer than 2 cm, and if the ellipsoids of the parts have a
             larger distance. Method "enclosing" only.
-        tool_parts: vertices (K_i, 3) of each convex part of the tool, which dilate divided
-            obstacles [m]; empty: the whole tool dilates them.
+        tool_parts: vertices (K_i, 3) of each convex part of the tool, relative to E in world
+            orientation [m]. A divided obstacle has one ellipsoid for each pair of its part and a
+            part of the tool. Empty: the whole tool is the only part.
 
     Returns:
         Set with one ellipsoid for each obstacle, or several for a divided obstacle.
@@ -158,7 +166,9 @@ def describe(
 
 
 def _key(points: FloatArray) -> bytes:
-    """Returns the bytes of an array of points (N, 3), as a hashable argument of `_ellipsoid`."""
+    """Returns the bytes of an array of points (N, 3), as a hashable argument of `_ellipsoid`, whose
+    results are cached.
+    """
     return np.ascontiguousarray(points, dtype=float).tobytes()
 
 
@@ -167,9 +177,11 @@ def _ellipsoid(points: bytes, tool: bytes, method: Method = "enclosing") -> Shap
     """Computes the ellipsoid of a cloud dilated by a tool; results are cached.
 
     Args:
-        points: bytes of the points of the cloud, computed by `_key`.
-        tool: bytes of the tool's vertices, computed by `_key`.
-        method: "enclosing" or "least_squares", as for `describe`.
+        points: bytes of the points (N, 3) of the cloud in the world [m], computed by `_key`.
+        tool: bytes of the tool's vertices (K, 3) relative to the tool point E, in world orientation
+            [m], computed by `_key`.
+        method: "enclosing": the ellipsoid of minimum volume that contains the dilated cloud;
+            "least_squares": the superquadric fit of Pairet et al., RA-L 2019.
     """
     cloud, corners = (np.frombuffer(key).reshape(-1, 3) for key in (points, tool))
     if method == "enclosing":
@@ -184,15 +196,17 @@ def _parts(
     """Computes the ellipsoids of each part of a cloud, dilated by each part of the tool.
 
     Args:
-        points: (N, 3) points of the cloud [m].
-        tools: for each part of the tool, bytes of the vertices, computed by `_key`.
+        points: (N, 3) points of the cloud in the world [m].
+        tools: for each part of the tool, bytes of its vertices relative to E in world orientation,
+            computed by `_key`.
         halvings: number of successive halvings of the cloud into parts.
-        free: (F, 3) points that are known to be free, such as start and goal [m].
-        min_room: minimum distance of the ellipsoids from free points at or below which the
-            computation stops early, because the result would not be used [m].
+        free: (F, 3) positions of the tool point E in the world that are known to be free, such as
+            start and goal [m].
+        min_room: distance of an ellipsoid from the free positions at or below which the computation
+            stops early, because the result would not be used [m].
 
     Returns:
-        Ellipsoids, and their minimum distance from free points [m].
+        Ellipsoids, and their minimum distance from the free positions [m].
     """
     ellipsoids: list[Shape] = []
     room = math.inf
@@ -206,9 +220,11 @@ def _parts(
 
 
 def _room(free: FloatArray, ellipsoids: Sequence[Shape]) -> float:
-    """Computes the minimum distance of free points (F, 3) from ellipsoids [m]; inf without points.
+    """Computes the minimum distance of points (F, 3) in the world from ellipsoids [m]; inf without
+    points.
 
-    The distance is negative for a point inside an ellipsoid.
+    The points are known to be free, such as start and goal. The distance is negative for a point
+    inside an ellipsoid.
     """
     distances = [signed_distance(free, *shape) for shape in ellipsoids]
     return float(np.min(distances, initial=np.inf))

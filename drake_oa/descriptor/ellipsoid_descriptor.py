@@ -31,11 +31,12 @@ class EllipsoidDescriptor(LeafSystem):
     - obstacles_W: abstract `ObstacleClouds`, points of the obstacles in the world frame
       [m]; may be empty.
     - goal (optional): (3,) goal of the motion in the world frame [m], a position of the tool point
-      that is known to be free. Not connected: only `free_W` is known to be free.
+      that is known to be free. Not connected: only the constructor's `free_W` is known to be free.
     - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, IDs, velocities,
       table and note of the clouds. An obstacle without finite points is omitted, and the note names
-      the obstacle. An obstacle whose ellipsoid would contain a free point, or come within 2 cm of
-      one, has several rows.
+      the obstacle. If an enclosing ellipsoid would contain a position that is known to be free, or
+      come within 2 cm of one, the obstacle is divided into parts and has several rows, if that
+      increases the distance.
 
     The system has no state. The output is cached until an input changes. The computation is
     described in `drake_oa.descriptor.descriptor.describe`.
@@ -59,8 +60,9 @@ class EllipsoidDescriptor(LeafSystem):
                 points stay outside.
             free_W: (F, 3) positions of the tool point in the world frame that are known to be free,
                 such as the start [m].
-            tool_parts: vertices (K_i, 3) of each convex part of the tool, which dilate obstacles
-                near free points [m]; empty: the whole tool dilates them.
+            tool_parts: vertices (K_i, 3) of each convex part of the tool, relative to the tool
+                point in world orientation [m]. They dilate the parts of a divided obstacle one by
+                one; empty: the whole tool dilates them.
 
         Raises:
             ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, or free_W is
