@@ -1,13 +1,15 @@
 """Planning layer: selects whole-arm motions by roll-outs (simulations) among collision geometry.
 
-In:  collision_scene_W `CollisionScene` (W, [m, m/s]); policy_state `PolicyState`; goal (3,) [m];
-     robot_state (2m,) [rad, rad/s]; ellipsoids_W `EllipsoidSet`; coupling_parameters
-     `CouplingParameters` of the regressor chain, and route `Route`, the sides on which obstacles
-     are passed.
-Out: coupling_parameters and route of the selected motion; demonstration `Demonstration` for a
-     restart of the motion; motion `PlannedMotion` with the arm's joints (T, n) [rad]; clearance
-     shortfall and clearance_reduction [m]; start and latency of the decision [s]; source of the
-     motion, and numbers of candidates.
+In:  collision_scene_W `CollisionScene`, all collision geometry but the robot, in the world frame W;
+     policy_state `PolicyState`, state of the movement primitive; goal (3,) of the tool in W [m];
+     robot_state (2m,), positions and velocities [rad, m, rad/s, m/s]; ellipsoids_W `EllipsoidSet`;
+     coupling_parameters `CouplingParameters` of the regressor chain, and route `Route`, the sides
+     on which obstacles are passed.
+Out: coupling_parameters and route of the selected motion; demonstration `Demonstration`, which the
+     motion imitates after a restart from rest; motion `PlannedMotion` of the tool and of the arm's
+     joints (T, n) [rad]; shortfall of the minimum clearance, and clearance_reduction, by which
+     start or goal reduce the requested clearance [m]; start and latency of the decision [s]; source
+     of the motion (kind of candidate), and numbers of candidates of each kind.
 
 Systems
     GroundTruthScene  collision scene (collision geometry without the robot) of the simulator
@@ -29,10 +31,10 @@ Method
     is predicted to be in contact, the motion is held, and a note gives the reason.
 
 Modules, in the order of the data flow: `ground_truth_scene` and `perceived_scene` (collision
-scene); `collision_model` (clearance margins of a configuration); `search` (evolution strategy,
-roll-outs of the whole arm on all cores) and `point_search` (evolution strategy for a point among
-ellipsoids); `joint_planner` and `imitation` (joint-space path as a demonstration); `motion_search`
-(selection); `motion_verifier`.
+scene); `collision_model` (distances minus required clearances of a configuration); `search`
+(evolution strategy, roll-outs of the whole arm on all cores) and `point_search` (evolution strategy
+for a point among ellipsoids); `joint_planner` and `imitation` (joint-space path as a
+demonstration); `motion_search` (selection); `motion_verifier`.
 
 Configuration: the block `inference` of a scenario, tagged `!Verified`.
 

@@ -68,7 +68,8 @@ def transform_point(X: FloatArray, row: int, p: FloatArray, i: int) -> tuple[flo
     """Transforms a point from the frame of a link to the world [m].
 
     Args:
-        X: (M, 12) poses of link frames in the world, as computed by `chain_poses`.
+        X: (M, 12) poses of link frames in the world; a row is a rotation matrix, row by row, and a
+            position [m].
         row: row of the link frame in X.
         p: (N, 3 or more) points in this frame, of which the first three columns are read [m].
         i: row of the point in p.
@@ -96,9 +97,10 @@ def place_bounds(X: FloatArray, spheres: Spheres, center: FloatArray) -> None:
     """Computes the world positions of the bounding spheres' centers, one per group of spheres.
 
     Args:
-        X: (n + 2, 12) link poses, as computed by `chain_poses`.
+        X: (n + 2, 12) poses of the world, the joint frames and the tool in the world frame; a row
+            is a rotation matrix, row by row, and a position [m].
         spheres: G groups of spheres that cover the arm, one group per body.
-        center: (G, 3) centers, set in place [m].
+        center: (G, 3) centers in the world frame, set in place [m].
     """
     for g in range(len(center)):
         x, y, z = transform_point(X, spheres.group_joint[g] + 1, spheres.bound, g)
@@ -112,13 +114,15 @@ def group_bound(
     """Computes a lower bound of the distance from group g to collision geometry k at time t [m],
     by their bounding spheres.
 
+    A group consists of the spheres that cover one body of the arm.
+
     Args:
-        spheres: spheres of the arm.
-        center: (G, 3) centers of the groups' bounding spheres from `place_bounds` [m].
+        spheres: spheres that cover the arm.
+        center: (G, 3) centers of the groups' bounding spheres in the world frame [m].
         g: index of the group.
-        geometries: collision geometries.
+        geometries: collision geometries, which may move.
         k: index of the geometry.
-        t: time at which the geometry is evaluated [s].
+        t: time at which the position of the geometry is evaluated [s].
     """
     x, y, z = center[g, 0], center[g, 1], center[g, 2]
     return ball_bound(geometries, k, x, y, z, t) - spheres.bound[g, 3]
@@ -132,19 +136,20 @@ def geometry_gap(
 ) -> float:  # fmt: skip
     """Computes the clearance margin of one group of robot spheres to one collision geometry [m].
 
-    The result is min(d - clearance, upper_bound), with the distance d from the group to the
-    geometry. Bounding spheres of the group and of its clusters (sets of neighboring spheres)
-    exclude spheres that cannot lower the result. The caller checks `group_bound`, because a call
-    with these arguments takes more time.
+    The result is min(d - clearance, upper_bound), with the distance d from the group, the spheres
+    that cover one body, to the geometry. Bounding spheres of the group and of its clusters (sets of
+    neighboring spheres) exclude spheres that cannot lower the result. The caller compares
+    `group_bound`, a lower bound of d, first, because this call takes more time.
 
     Args:
-        X: (n + 2, 12) link poses, as computed by `chain_poses`.
-        spheres: spheres of the arm.
-        center: (G, 3) centers of the groups' bounding spheres from `place_bounds` [m].
+        X: (n + 2, 12) poses of the world, the joint frames and the tool in the world frame; a row
+            is a rotation matrix, row by row, and a position [m].
+        spheres: spheres that cover the arm.
+        center: (G, 3) centers of the groups' bounding spheres in the world frame [m].
         g: index of the group.
-        geometries: collision geometries.
+        geometries: collision geometries, which may move.
         k: index of the geometry.
-        t: time at which the geometry is evaluated [s].
+        t: time at which the position of the geometry is evaluated [s].
         clearance: required clearance, which is subtracted from the distance [m].
         upper_bound: upper bound of the result [m].
         stop_below: value below which the computation stops; the result is then not necessarily
@@ -183,10 +188,12 @@ def pair_bound(spheres: Spheres, center: FloatArray, m: int) -> float:
     """Computes a lower bound of the distance between the two groups of pair m [m], by their
     bounding spheres.
 
+    A group consists of the spheres that cover one body of the arm.
+
     Args:
-        spheres: spheres of the arm.
-        center: (G, 3) centers of the groups' bounding spheres from `place_bounds` [m].
-        m: row of the two groups in `spheres.pairs`.
+        spheres: spheres that cover the arm.
+        center: (G, 3) centers of the groups' bounding spheres in the world frame [m].
+        m: row of `spheres.pairs`, which contains the indices of the two groups.
     """
     a, b = spheres.pairs[m, 0], spheres.pairs[m, 1]
     x, y, z = center[b, 0] - center[a, 0], center[b, 1] - center[a, 1], center[b, 2] - center[a, 2]
@@ -200,13 +207,19 @@ def _cluster_distance(
 ) -> float:  # fmt: skip
     """Computes the distance between two clusters of robot spheres plus an offset [m].
 
-    The result is min(d + offset, upper_bound), with the distance d between the clusters.
+    The result is min(d + offset, upper_bound), with the distance d between the clusters. A cluster
+    is a set of neighboring spheres of one body.
 
     Args:
-        X: (n + 2, 12) link poses, as computed by `chain_poses`.
-        spheres: spheres of the arm.
-        frame_a, a, frame_b, b: rows of the clusters' links in X, and indices of the clusters.
-        offset, upper_bound, stop_below: as in `pair_distance` [m].
+        X: (n + 2, 12) poses of the world, the joint frames and the tool in the world frame; a row
+            is a rotation matrix, row by row, and a position [m].
+        spheres: spheres that cover the arm.
+        frame_a, a: row in X of the frame of the first cluster, and index of this cluster.
+        frame_b, b: row in X of the frame of the second cluster, and index of this cluster.
+        offset: offset added to d [m].
+        upper_bound: upper bound of the result [m].
+        stop_below: value below which the computation stops; the result is then not necessarily
+            the minimum over the spheres [m].
     """
     for i in range(spheres.cluster_first[a], spheres.cluster_first[a + 1]):
         x, y, z = transform_point(X, frame_a, spheres.p_JS, i)
@@ -238,12 +251,13 @@ def pair_distance(
     consists of the spheres that cover one body.
 
     Args:
-        X: (n + 2, 12) link poses, as computed by `chain_poses`.
-        spheres: spheres of the arm.
-        center: (G, 3) centers of the groups' bounding spheres from `place_bounds` [m].
-        m: row of the two groups in `spheres.pairs`.
-        offset: offset added to d: `spheres.allowance` of the pair, minus the required clearance
-            [m].
+        X: (n + 2, 12) poses of the world, the joint frames and the tool in the world frame; a row
+            is a rotation matrix, row by row, and a position [m].
+        spheres: spheres that cover the arm.
+        center: (G, 3) centers of the groups' bounding spheres in the world frame [m].
+        m: row of `spheres.pairs`, which contains the indices of the two groups.
+        offset: offset added to d [m]. It is the overlap of the spheres at which the exact shapes of
+            both bodies are still apart (`spheres.allowance`), minus the required clearance.
         upper_bound: upper bound of the result [m].
         stop_below: value below which the computation stops; the result is then not necessarily
             the minimum over the spheres [m].
@@ -288,8 +302,10 @@ def lower_clearance_margins(
 
     Args:
         X: (n + 2, 12) link poses of the configuration, as computed by `chain_poses`.
-        t: time at which the geometries are evaluated [s].
-        spheres, geometries, required: attributes of `ArmCollisionModel`.
+        t: time at which the positions of the geometries are evaluated [s].
+        spheres: spheres that cover the arm, in G groups (one group per body).
+        geometries: collision geometries of environment and obstacles.
+        required: required clearances between groups and geometries, and between groups.
         center: (G, 3) work array.
         margins: (3,) smallest margins so far, at the indices `TOOL`, `LINKS`, `SELF` [m].
         stop_below: margin below which the computation stops [m].
@@ -326,7 +342,8 @@ def clearance_margin(
         world: collision model of the arm.
         q: (n,) configuration [rad].
         max_margin: upper bound of the result [m].
-        X, center: (n + 2, 12) and (G, 3) work arrays.
+        X: (n + 2, 12) work array for the poses of the links.
+        center: (G, 3) work array for the bounding spheres of the G bodies.
     """
     margins = np.full(3, max_margin)
     chain_poses(q, world.chain.X_PJ, X)
@@ -389,10 +406,11 @@ def free_fraction(
 
 @compiled
 def min_clearance_margin(world: ArmCollisionModel, q: FloatArray) -> float:
-    """Computes the minimum clearance margin of the arm over T configurations, at most `FAR` [m].
+    """Computes the minimum clearance margin of the arm over T configurations [m].
 
-    A clearance margin is distance minus required clearance. Of a configuration with negative
-    margins, only the first one found is considered.
+    A clearance margin is distance minus required clearance. The result is at most 0.3 m (`FAR`). In
+    a configuration with negative margins, only the first negative margin found is considered, which
+    may not be the smallest.
 
     Args:
         world: collision model of the arm, with the required clearances.
@@ -407,11 +425,16 @@ def min_clearance_margin(world: ArmCollisionModel, q: FloatArray) -> float:
 
 @compiled
 def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
-    """Computes the minimum distance between bodies of the arm at a configuration (n,) [m].
+    """Computes the minimum distance between bodies of the arm at a configuration [m].
 
-    Covering spheres represent the bodies. The result is at most `FAR`. If bodies overlap, the
-    result is the most negative distance, whereas `clearance_margin` stops at the first negative
-    value.
+    Covering spheres represent the bodies. The overlap of two bodies' spheres at which their exact
+    shapes are still apart (`spheres.allowance`) is added to their distance. The result is at most
+    0.3 m (`FAR`), and the most negative distance if bodies overlap.
+
+    Args:
+        chain: kinematic chain of the arm.
+        spheres: spheres that cover the arm, with the pairs of bodies that can collide.
+        q: (n,) configuration [rad].
     """
     X, center, distance = np.empty((len(q) + 2, 12)), np.empty((len(spheres.group_joint), 3)), FAR
     chain_poses(q, chain.X_PJ, X)
@@ -435,13 +458,16 @@ def group_distances(
     Covering spheres in G groups represent the bodies.
 
     Args:
-        chain, spheres, geometries: attributes of `ArmCollisionModel`.
+        chain: kinematic chain of the arm.
+        spheres: spheres that cover the arm.
+        geometries: K collision geometries, which may move.
         q: (T, n) configurations [rad].
-        t: time at which the geometries are evaluated [s].
+        t: time at which the positions of the geometries are evaluated [s].
         max_distance: upper bound of the distances [m].
 
     Returns:
-        (G, K) minimum distances of G groups to K collision geometries [m].
+        (G, K) minimum distances of G groups (bodies) to K collision geometries over all
+        configurations [m].
     """
     distances = np.full((len(spheres.group_joint), len(geometries.ball)), max_distance)
     X, center = np.empty((q.shape[1] + 2, 12)), np.empty((len(spheres.group_joint), 3))

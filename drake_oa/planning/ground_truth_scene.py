@@ -40,8 +40,8 @@ class GroundTruthScene(LeafSystem):
     - query_object: `QueryObject` of the scene graph with the bodies.
     - collision_scene_W: abstract `CollisionScene` in the world frame: collision geometries of the
       bodies. The velocity of a geometry is the mean velocity of its body's origin since the
-      previous update; speeds below 1 mm/s are set to 0. Bodies with a coordinate above
-      `messages.OUT_OF_WORLD` are omitted.
+      previous update; speeds below 1 mm/s are set to 0. Bodies with a world coordinate of magnitude
+      above 25 m (`messages.OUT_OF_WORLD`) count as absent and are omitted.
 
     The scene is updated at initialization and then every `period`.
     """
@@ -62,7 +62,7 @@ class GroundTruthScene(LeafSystem):
             inspector: inspector of the plant's scene graph.
             bodies: indices of the bodies; bodies without collision geometry have no effect.
             names: track ID of the obstacle to which each body belongs. Bodies without an entry
-                belong to the environment (`drake_oa.geometry.collision_scene.ENVIRONMENT`).
+                belong to the environment (a table, for example), which is no obstacle.
             period: time between updates [s].
 
         Raises:

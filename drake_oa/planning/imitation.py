@@ -1,8 +1,9 @@
 """Conversion of a planned joint-space path to a demonstration that movement primitives imitate.
 
 Coupling terms, which steer a motion away from obstacles, can then act along the path. Position
-and orientation of the tool become movement primitives (`drake_oa.policy`). Their common phase moves
-the nominal posture, which the null space tracks, along the path.
+and orientation of the tool become movement primitives (`drake_oa.policy`). The joint positions of
+the path become the nominal posture, which the arm tracks in its null space; the phase of the
+movement primitives determines the place on the path.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from drake_oa.policy.dmp import (
 from drake_oa.robot.arm import tool_poses
 
 SAMPLES = 201
-"""Number of samples of a joint-space path that is converted to a demonstration."""
+"""Number of configurations that sample a joint-space path for its conversion to a demonstration."""
 MAX_DURATION_RATIO = 2.0
 """Maximum ratio of an imitated joint-space path's duration to the task's demonstrated duration [-].
 
@@ -35,7 +36,8 @@ SPEED_FRACTION = 0.5
 _FILTER_WIDTHS = (0.04, 0.02, 0.01)
 """Standard deviations of Gaussian filters that round the corners of a joint-space path [-].
 
-They are fractions of the path's length, and are tried in this order."""
+They are fractions of the path's length. They are tried in this order, until one of them
+preserves the clearance of the path."""
 _N_BASIS = 100
 """Number of basis functions of the movement primitives that imitate a joint-space path.
 
@@ -59,10 +61,12 @@ def demonstration(
         corners: (C, n) corners of the polyline [rad].
         seconds_per_meter: duration per meter of the tool's path [s/m].
         max_duration: maximum duration, unless the joint speeds require more [s].
-        alpha_k: decay rate of the movement primitives' phase, per normalized time.
+        alpha_k: decay rate of the movement primitives' phase, per normalized time (time over
+            duration) [-].
 
     Returns:
-        Demonstration of the tool's position and orientation, and of the joint positions.
+        Movement primitives of the tool's position and orientation, and joint positions over
+        normalized time.
 
     Raises:
         ValueError: if the tool turns too far for an orientation primitive, or start and end of
@@ -107,12 +111,16 @@ def _smooth(world: ArmCollisionModel, q: FloatArray) -> FloatArray:
     """Rounds the corners of a joint-space path by the widest filter that preserves the clearance.
 
     A filter preserves the clearance if the required clearances are achieved afterwards, or if the
-    clearance margin is no smaller than that of the given path. The ends of the path do not change.
-    Without such a filter the path is returned unchanged.
+    clearance margin (distance minus required clearance) is no smaller than that of the given path.
+    The ends of the path do not change.
 
     Args:
         world: collision model of the arm, with the required clearances.
         q: (T, n) configurations of the path, evenly spaced [rad].
+
+    Returns:
+        (T, n) configurations of the rounded path; the given ones if no filter preserves the
+        clearance [rad].
     """
     min_margin = min(min_clearance_margin(world, q), 0.0)
     for width in _FILTER_WIDTHS:

@@ -1,9 +1,10 @@
 """Joint-space planner for the whole arm, used if no motion with coupling terms is feasible.
 
 The planner is RRT-Connect (J. J. Kuffner and S. M. LaValle, ICRA 2000) with random shortcuts (R.
-Geraerts and M. H. Overmars, IJRR 2007). Edges are checked in steps whose length depends on the
-clearance margin. While the trees grow, edges are checked coarsely. When the trees meet, the path
-is checked finely, and nodes behind an edge in collision are removed (lazy collision checking).
+Geraerts and M. H. Overmars, IJRR 2007). Edges are checked for collisions in steps, which are longer
+where the clearance margin (distance minus required clearance) is larger. While the trees grow,
+edges are checked in coarse steps. When the trees meet, the path is checked in fine steps, and nodes
+behind an edge in collision are removed (lazy collision checking).
 
 The effort is limited by the number of checked configurations, not by time. The same collision
 model, ends, seed and limit therefore give the same path.
@@ -29,7 +30,7 @@ _MAX_STEP = 0.8
 _MIN_STEP = 0.05
 """Minimum length in joint space of an edge of the planner's trees [rad].
 
-If the target of the edge is nearer than twice this length, half its distance suffices."""
+A shorter edge is added only if it covers at least half the distance to its target."""
 _COARSE_STRIDE = 0.1
 """Displacement of the arm's covering spheres between two coarsely checked configurations [m].
 
@@ -48,7 +49,17 @@ def _counted_free_fraction(
     """Computes the collision-free fraction of a joint-space edge, and counts its checks.
 
     The number of checked configurations is added to the work counters of
-    `drake_oa.common.latency`. The arguments are those of `free_fraction`.
+    `drake_oa.common.latency`, from which the simulated compute latency is determined.
+
+    Args:
+        world: collision model of the arm, with the required clearances.
+        q_start: (n,) configuration at the start of the edge [rad].
+        q_end: (n,) configuration at the end of the edge [rad].
+        stride: displacement of the covering spheres between checked configurations, where the
+            clearance margin (distance minus required clearance) is not larger [m].
+
+    Returns:
+        Fraction of the edge that is collision-free from its start on; 1: the entire edge.
     """
     fraction, checked = free_fraction(world, q_start, q_end, stride)
     count(configurations=checked)
@@ -80,8 +91,9 @@ class _Tree:
                 `_MAX_STEP`, the edge ends at this distance.
 
         Returns:
-            Index of the new node, or -1 if the collision-free part of the edge is too short; and
-            whether the new node is the target.
+            Index of the new node, or -1 if the collision-free part of the edge is shorter than
+            `_MIN_STEP` and than half the distance to the target; and whether the new node is the
+            target.
         """
         q = self.q[row]
         distance = math.dist(q, target)
@@ -103,8 +115,12 @@ class _Tree:
     def branch(self, row: int) -> list[int]:
         """Returns the indices of the nodes from a node to its root, if all edges are free.
 
-        The edges of this branch are checked finely. If one of them is in collision, the result is
-        empty, and the configurations of all nodes behind this edge are set to inf.
+        The edges of this branch are checked for collisions in fine steps (`SPHERE_STRIDE`). If one
+        of them is in collision, the result is empty. The configurations of all nodes behind this
+        edge, seen from the root, are then set to inf, so that `nearest` never returns them.
+
+        Args:
+            row: index of the node at which the branch begins.
         """
         rows = [row]
         while self.parent[rows[-1]] >= 0:

@@ -5,15 +5,17 @@ this order:
 
 1. the nominal (demonstrated) motion, without coupling terms;
 2. the coupling terms of the regressor chain of Pairet et al., RA-L 2019, for all obstacles
-   together, with heading guidance to the selected sides;
-3. motions of the evolution strategy of `drake_oa.planning.search`, which starts from each of these
-   terms alone, and from moderate terms on all sides;
+   together, with heading guidance to the sides that the cost rings have selected;
+3. motions with one coupling term from the evolution strategy of `drake_oa.planning.search`, which
+   starts from each of these terms alone, and from a moderate term in each of 16 directions around
+   the line from start to goal;
 4. if the arm is at rest and no other candidate is feasible, a joint-space path
    (`drake_oa.planning.joint_planner`). The movement primitives imitate this path
    (`drake_oa.planning.imitation`), and it is rolled out like every other candidate.
 
-The shortest candidate that achieves the requested clearance is selected, and remains selected while
-it achieves it. If no candidate achieves it, the one with the least clearance shortfall is executed
+The nominal motion is selected if it achieves the requested clearance, otherwise the shortest
+candidate that does; this candidate remains selected while it achieves the clearance and the nominal
+motion does not. If no candidate achieves it, the one with the least clearance shortfall is executed
 and the shortfall is reported. Predicted contact holds the motion; an arm in contact may only
 retreat from the obstacle.
 """
@@ -87,7 +89,7 @@ _MIN_ACCEPTABLE_DISTANCE = 1e-3
 _REPLAN_PERIOD = 0.5
 """Minimum time between two joint-space plans while no candidate motion is feasible [s]."""
 _MAX_DEVIATION = 0.015
-"""Deviation of a joint above which a resting arm counts as away from the selected motion [rad]."""
+"""Deviation of a joint above which a resting arm has left the selected motion [rad]."""
 _TOOL_TOLERANCE = 2e-3
 """Distance between desired and actual position of the tool below which both count as equal [m]."""
 _CLEARANCE_FRACTIONS = (1.0, 0.5, 0.2)
@@ -95,9 +97,10 @@ _CLEARANCE_FRACTIONS = (1.0, 0.5, 0.2)
 
 They are tried in this order until a path is found that the arm can execute."""
 _GOAL_SEEDS = 128
-"""Number of random seeds of the inverse kinematics that computes configurations at the goal."""
+"""Number of random initial configurations of the inverse kinematics at the goal."""
 _SAME_ANGLE = 1e-6
-"""Maximum difference of the joints between two results that are the same configuration [rad]."""
+"""Maximum difference of each joint at which two results of the inverse kinematics at the goal count
+as the same configuration [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,13 +108,14 @@ class PlanningInputs(Frozen):
     """Inputs of one decision of `MotionSearch`, which selects the motion of the arm.
 
     Attributes:
-        policy: state of the movement primitive.
+        policy: state of the movement primitive that generates the motion of the tool.
         p_WG: (3,) goal of the tool point in the world frame [m].
         q: (n,) current configuration of the arm [rad].
         scene: collision geometry of the obstacles at rest and of the environment.
-        ellipsoids: descriptors of the obstacles, ellipsoids dilated by the tool.
-        coupling: parameters of one coupling term per obstacle, from the regressor chain.
-        route: side selected for passing each obstacle, with the costs of all sides.
+        ellipsoids: ellipsoids of the obstacles, dilated by the tool, so that the tool is a point.
+        coupling: parameters of one coupling term (turning rate) per obstacle, from the regressor
+            chain.
+        route: side selected by cost rings for passing each obstacle, with the costs of all sides.
     """
 
     policy: PolicyState
@@ -127,16 +131,19 @@ class MotionSearch:
     """Planner that selects the motion of an arm among candidates with coupling terms.
 
     Coupling terms are turning rates that steer the movement primitive away from obstacles. The
-    module docstring lists the candidates. With the groups g of spheres that cover the robot (one
-    group per body) and the collision geometries k, a motion must achieve the clearances
+    candidates are the nominal (demonstrated) motion, the coupling terms of the regressor chain
+    together, motions of an evolution strategy, and the imitation of a joint-space path. With the
+    groups g of spheres that cover the robot (one group per body) and the collision geometries k, a
+    motion must achieve the clearances
 
         required_gk = min( fraction * requested_g,
                            min( d_gk(q_now), max( d_gk(q_goal), touch_g + slack ) ) - slack )
 
-    requested_g is the clearance that the task requests of group g, and fraction is 1 or, for
-    joint-space plans, less. d_gk(q) is the distance of group g to geometry k at configuration q,
-    touch_g the distance at or below which group g counts as in contact, and slack a tolerance. The
-    current and the goal configuration thus reduce the requirement of single pairs (g, k) only.
+    requested_g is the clearance requested of group g (tool or link); to geometry of the environment
+    it is at most that of the links. fraction is 1 or, for joint-space plans, less. d_gk(q) is the
+    distance of group g to geometry k at configuration q, touch_g the distance at or below which
+    group g counts as in contact, and slack a tolerance. The current and the goal configuration thus
+    reduce the requirement of single pairs (g, k) only.
     """
 
     def __init__(
@@ -155,15 +162,17 @@ class MotionSearch:
     ) -> None:
         """Stores arm, movement primitive and parameters, which are constant for all decisions.
 
-        Normalized time is time over the demonstrated duration times tau, from 0 to 1.
+        Normalized time is time over tau T, from 0 to 1, with the demonstrated duration T and the
+        temporal scaling tau.
 
         Args:
             dmp: movement primitive of the task's demonstration.
             clearance: requested clearance Delta of the tool from every obstacle [m].
             chain: kinematic chain of the arm.
-            spheres: spheres that cover the arm.
-            parameters: parameters of the search.
-            policy: configuration of the movement primitive, of which time step and fade are used.
+            spheres: spheres that cover the arm, in G groups (one group per body).
+            parameters: numbers of candidates, tolerances and limits of the search.
+            policy: configuration of the movement primitive, of which the time step and the distance
+                from the goal at which coupling terms fade are used.
             orientation: function from normalized times (T,) to desired tool orientations R_WE
                 (T, 3, 3).
             posture: function from normalized times (T,) to nominal postures (T, n) of the null
@@ -198,9 +207,9 @@ class MotionSearch:
         ========= ========== ======= ===========================================================
 
         A motion is executable if it is selected and not held, and if the arm has not left it. The
-        arm leaves its motion by a maneuver of `MotionGuard`; when it rests afterwards, the
-        joint-space plan precedes the search. The time between two plans is at least
-        `_REPLAN_PERIOD`.
+        arm leaves its motion by an evasive maneuver of `MotionGuard`; when it rests afterwards, the
+        joint-space plan precedes the search. The time between two plans is at least 0.5 s
+        (`_REPLAN_PERIOD`).
 
         If start or goal have changed, other than by a restart that the previous decision has
         commanded, the search does not use the best candidates of earlier searches.
@@ -210,8 +219,8 @@ class MotionSearch:
             inputs: inputs of this decision.
 
         Returns:
-            The selected motion; an empty one before the first observation, or if start and goal
-            coincide.
+            The selected motion; an empty `SelectedMotion` before the first observation, or if start
+            and goal coincide.
         """
         policy = inputs.policy
         if inputs.scene.stamp == -math.inf or np.array_equal(inputs.p_WG, policy.p_WS):
@@ -263,8 +272,9 @@ class MotionSearch:
     def _has_left_motion(self, current: SelectedMotion, inputs: PlanningInputs) -> bool:
         """Checks whether the arm rests at a configuration that is not on the current motion.
 
-        The arm is there after a maneuver of `MotionGuard`. The result is False until the desired
-        position of the tool has moved to its actual position.
+        The arm is there after an evasive maneuver of `MotionGuard`. The result is False as long as
+        the movement primitive is moving, or its position differs from that of the tool by 2 mm
+        (`_TOOL_TOLERANCE`) or more.
 
         Args:
             current: motion that is executed.
@@ -283,7 +293,7 @@ class MotionSearch:
 
         The motion is rolled out again, because the arm has moved since the start of the decision.
         Directly in front of an obstacle, a small displacement can change the side on which the
-        motion passes.
+        motion passes. The result is True for a motion that has not begun or has no prediction.
 
         Args:
             candidate: selected motion with its prediction.
@@ -303,13 +313,17 @@ class MotionSearch:
     def _collision_model(
         self, inputs: PlanningInputs, ends: FloatArray, fraction: float = 1.0
     ) -> ArmCollisionModel:
-        """Builds the arm's collision model, with the required clearances of the class docstring.
+        """Builds the arm's collision model, with the required clearances of each body.
+
+        A body must have the fraction of its requested clearance from each geometry, or its distance
+        from this geometry at the current configuration or at the goal, if that is smaller. The
+        docstring of `MotionSearch` has the equation.
 
         Args:
             inputs: inputs of the decision.
-            ends: (m, n) possible goal configurations [rad]; for each pair of sphere group and
-                geometry, the largest distance at these configurations limits the requirement.
-            fraction: fraction of the requested clearance.
+            ends: (m, n) possible goal configurations [rad], of which the one with the largest
+                distance counts for each body and geometry; (0, n): the goal has no effect.
+            fraction: fraction of the requested clearance that is required [-].
         """
         geometries, p, is_tool = inputs.scene.geometries, self._parameters, self._is_tool
         requested = np.where(is_tool, self._clearance, min(p.link_clearance, self._clearance))
@@ -341,7 +355,8 @@ class MotionSearch:
             command: motion, whose demonstration defines both.
 
         Returns:
-            Spline with 9 + n columns, as computed by `references`.
+            Linear spline over normalized times from 0 to 1 with 9 + n columns: rotation matrix R_WE
+            of the tool, row by row, and nominal posture of the null space [rad].
         """
         demo, s = command.demonstration, np.linspace(0.0, 1.0, _REFERENCE_SAMPLES)
         if demo.orientation is None:
@@ -358,7 +373,7 @@ class MotionSearch:
             current: current motion.
             inputs: inputs of the decision, which contain the state at which the motions start.
             model: collision model of the arm, with the required clearances.
-            more: further arguments of `ArmSearch`.
+            more: further arguments of `ArmSearch`: costs of sides, warm start, maximum latency.
         """
         demo = current.command.demonstration
         dmp = demo.position or self._dmp
@@ -390,6 +405,9 @@ class MotionSearch:
         Args:
             current: current motion, with the best candidates of the previous search.
             inputs: inputs of the decision.
+
+        Returns:
+            Best motion with its prediction, and the data with which the next search starts.
         """
         command, end = current.command, self._null_space_reference(current.command)(1.0)
         target = np.append(end[:9], inputs.p_WG)
@@ -452,10 +470,12 @@ class MotionSearch:
             current: motion to roll out.
             inputs: inputs of the decision.
             search: search that rolls out candidates.
-            params: (1, 6) candidate parameters of the motion, as defined in
-                `drake_oa.planning.search`.
-            length: length of the tool's path from here to the goal, which determines the temporal
-                scaling [m].
+            params: (1, 6) parameters of the motion's single coupling term: angle of the side [rad];
+                position of its center along and beside the line from start to goal, over its length
+                L; ln kappa L^2; ln psi; ln alpha. The terms of a regressor chain's motion replace
+                them.
+            length: length of the tool's path from its current position to the goal, which
+                determines the temporal scaling [m].
         """
         requirements = search.world.required
         tool = search.tool_paths(params, guides=current.command.guides)
@@ -511,7 +531,8 @@ class MotionSearch:
 
         Args:
             inputs: inputs of the decision.
-            seeds: number of random seeds of the inverse kinematics.
+            seeds: number of random initial configurations of the inverse kinematics, in addition to
+                the preferred configuration at the goal.
 
         Returns:
             (m, n) configurations, in order of distance from the preferred one [rad].
@@ -524,18 +545,19 @@ class MotionSearch:
     def _goal(self, inputs: PlanningInputs) -> tuple[FloatArray, FloatArray]:
         """Returns the pose of the tool and the preferred configuration of the arm at the goal.
 
-        The pose (12,) is a rotation matrix, row by row, and a position [m]. The configuration is
-        (n,) [rad].
+        The pose (12,) in the world frame is a rotation matrix, row by row, and a position [m]. The
+        configuration (n,) is the one given to the constructor, or else the nominal posture at the
+        end of the task's motion [rad].
         """
         end = self._task_references(1.0)
         preferred = end[9:] if self._q_goal is None else self._q_goal
         return np.append(end[:9], inputs.p_WG), preferred
 
     def _goal_note(self, inputs: PlanningInputs) -> str:
-        """Returns a hold note that names the obstacle which the arm would touch at the goal.
+        """Returns a note that names the obstacle which the arm would touch at the goal.
 
-        The note is empty if any configuration at the goal is collision-free, or if the goal is not
-        reachable.
+        The note is the reason for holding the motion. It is empty if any configuration at the goal
+        is collision-free, or if the goal is not reachable.
         """
         at_goal = inverse_kinematics(self._chain, *self._goal(inputs), seeds=_GOAL_SEEDS)
         d = [self._distances(inputs, q[None]) for q in at_goal]
@@ -553,8 +575,8 @@ class MotionSearch:
             inputs: inputs of the decision.
 
         Returns:
-            Motion that imitates the first path that the arm can execute; None: there is no such
-            path.
+            Motion that imitates the first path whose imitation the arm can follow to the goal
+            without contact; None: no such path was found.
         """
         p = self._parameters
         # The preferred configuration comes first: with it the tool turns least.
@@ -595,8 +617,8 @@ class MotionSearch:
             model: collision model for which the path was planned.
 
         Returns:
-            Motion that restarts from the resting arm; None: the arm cannot follow the motion, or is
-            predicted to be in contact.
+            Motion that starts from the resting arm; None: the tool turns too far for a movement
+            primitive, or the arm cannot follow the motion to the goal without contact.
         """
         duration, alpha_k = self._dmp.duration, self._dmp.alpha_k
         seconds_per_meter = duration / max(math.dist(inputs.p_WG, inputs.policy.p_WE), 1e-3)
@@ -670,6 +692,9 @@ class MotionSearch:
     def _is_contact(self, d: FloatArray) -> bool:
         """Checks whether any distance of a body of the arm to a collision geometry means contact.
 
+        A body is in contact at a distance of at most 1 mm, minus the distance by which its covering
+        spheres extend beyond the exact shapes.
+
         Args:
             d: (G, K) distances of G groups of covering spheres (one per body) to K geometries [m].
         """
@@ -687,8 +712,8 @@ class MotionSearch:
     def _contact_label(self, inputs: PlanningInputs) -> str:
         """Returns the label of the geometry that the arm certainly touches now; "" without contact.
 
-        Contact is certain if the arm's covering spheres overlap the geometry by more than they
-        extend beyond the exact shapes.
+        Contact is certain if the spheres that cover a body overlap the geometry by more than they
+        extend beyond the exact shapes of the body.
         """
         d = self._distances(inputs, inputs.q[None]) - self._contact_distance[:, None]
         return self._nearest_label(inputs, d) if (d < -_MIN_ACCEPTABLE_DISTANCE).any() else ""
@@ -711,7 +736,7 @@ def _chain_command(coupling: CouplingParameters, route: Route, scene: Scene) -> 
 
     Args:
         coupling: parameters of one coupling term per obstacle, from the regressor chain.
-        route: side selected for passing each obstacle.
+        route: side selected by cost rings for passing each obstacle.
         scene: initial state of the motion, and ellipsoids of the obstacles.
     """
     ellipsoids = scene.ellipsoids
@@ -727,13 +752,13 @@ def _chain_command(coupling: CouplingParameters, route: Route, scene: Scene) -> 
 
 
 _LN_ALPHA_OFFSETS = np.array([-3.0, -2.0, -1.0, 0.0])
-"""Offsets added to ln alpha, the strength of a regressor chain's coupling term [-].
+"""Offsets added to the logarithm of the strength alpha of a regressor chain's coupling term [-].
 
-Each offset gives one seed (first candidate) of the search."""
+Each offset gives one first candidate of the search."""
 
 
 def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
-    """Returns seeds of the search: each obstacle's coupling term alone, with several strengths.
+    """Returns first candidates of the search: each coupling term alone, with several strengths.
 
     A coupling term is a turning rate that steers the motion away from an obstacle.
 
@@ -742,7 +767,9 @@ def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
         chain: motion with the regressor chain's coupling terms for all obstacles together.
 
     Returns:
-        (n, 6) candidate parameters, as defined in `drake_oa.planning.search`.
+        (n, 6) parameters of first candidates: angle of the side [rad]; position of the term's
+        center along and beside the line from start to goal, over its length L; ln kappa L^2;
+        ln psi; ln alpha.
     """
     is_active = chain.rows.alpha > 0.0
     normal_W, center_W = chain.route.normal_W[is_active], chain.rows.center_W[is_active]
@@ -759,8 +786,10 @@ def _sides_of_term(route: Route, terms: FloatArray, angle: float) -> Route:
 
     Args:
         route: sides selected by cost rings, and their costs.
-        terms: (1, 12) coupling term of the selected motion, with the columns of `turn_step`.
-        angle: angle of the side around the line from start to goal [rad].
+        terms: (1, 12) coupling term of the selected motion in the world frame: center (3) [m],
+            alpha, psi, kappa, guidance heading (3), and normal of the plane of rotation (3).
+        angle: angle of the side around the line from start to goal, 0 along the local y axis and
+            pi/2 along z [rad].
     """
     blocked = bool(np.isinf(route.side_cost).all())
     count, normal_W = len(route.angles), terms[:, NORMAL : NORMAL + 3]
@@ -782,9 +811,11 @@ class MotionCommand(Frozen):
     """Selected motion in the form in which the movement primitive executes it.
 
     Attributes:
-        source: kind of the motion, an index of `SOURCES`; -1: no motion was selected.
-        rows: parameters and centers of the coupling terms; empty: the nominal motion.
-        route: sides of the obstacles, to which guidance turns the heading.
+        source: kind of the motion; -1: no motion was selected; 0: nominal (demonstrated) motion; 1:
+            all coupling terms of the regressor chain; 2: motion of the evolution strategy; 3:
+            imitation of a joint-space path.
+        rows: parameters and centers of the coupling terms; empty: no coupling terms.
+        route: sides on which the obstacles are passed, to which guidance turns the heading.
         tau: temporal scaling of the demonstrated duration [-]; 0: no motion was selected.
         demonstration: motion to imitate; empty: demonstration of the task.
         restart: whether the motion restarts with this demonstration from the resting arm.
@@ -813,7 +844,10 @@ class MotionCommand(Frozen):
 
     @property
     def guides(self) -> Obstacles | None:
-        """Obstacles past which guidance turns the heading of the motion; None: no guidance."""
+        """Obstacles past which guidance turns the heading of the motion; None: no guidance.
+
+        They contain the coupling terms of the regressor chain.
+        """
         ellipsoids = self.rows.ellipsoids
         return (
             CouplingInputs.of(ellipsoids, self.coupling, self.route).obstacles
@@ -828,16 +862,18 @@ class MotionPrediction(Frozen):
 
     Attributes:
         motion: motion of tool and joints from the time of the decision on.
-        shortfall: clearance shortfall [m]; 0 if the requested clearance is achieved.
+        shortfall: clearance shortfall [m], by which the motion falls below the required clearance:
+            the requested one, or less where the current or the goal configuration is nearer to an
+            obstacle. 0: the required clearance is achieved.
         limiting_obstacle: label of the collision geometry that comes nearest to the arm, or "the
             arm itself" if the distance between its bodies is the most critical.
         can_follow: whether the motion ends at the goal, and the arm can follow it.
-        clearance_reduction: reduction of the requested clearance, because the current or goal
-            configuration achieves no more [m].
+        clearance_reduction: requested clearance of the tool minus the largest clearance that is
+            required of any body of the arm from any obstacle [m]; 0 without obstacles.
         goal_note: reason why no configuration at the goal is collision-free; "": one is.
         contact: label of the collision geometry that the arm touches now; "": none.
-        sides: sides for passing the obstacles with their costs, and the selected side; for a
-            viewer.
+        sides: costs of the sides on which each obstacle can be passed, and the side on which the
+            motion passes; for a viewer.
     """
 
     motion: PlannedMotion = field(default_factory=PlannedMotion)
@@ -857,16 +893,19 @@ class SelectedMotion(Frozen):
     Attributes:
         command: selected motion for the movement primitive.
         prediction: predicted whole-arm motion and clearance.
-        p_WS, p_WG: (3,) start and goal of the motion [m]; (0,): no motion was selected.
+        p_WS, p_WG: (3,) start and goal of the motion in the world frame [m]; (0,): no motion was
+            selected.
         scene: collision scene of the decision.
-        params: (1, 6) candidate parameters of the motion, as defined in `drake_oa.planning.search`;
-            (0, 6): the motion has no term of the search.
-        elites: (k, 6) parameters of the best candidates, from which the next search starts.
+        params: (1, 6) parameters of the motion's coupling term from the search: angle of the side
+            [rad]; position of its center along and beside the line from start to goal, over its
+            length L; ln kappa L^2; ln psi; ln alpha. (0, 6): the motion has no such term.
+        elites: (k, 6) these parameters for the best candidates, from which the next search starts.
         generations: number of generations (iterations) of the search so far.
         last_plan: time of the last joint-space plan [s].
         traveled: length of the executed part of the tool's path [m].
-        p_WE: (3,) position of the tool at the end of the executed part [m].
-        counts: (4,) numbers of candidates in the last search, in the order of `SOURCES`.
+        p_WE: (3,) position of the tool at the end of the executed part in the world frame [m].
+        counts: (4,) numbers of candidates of each kind in the last search, by the index `source` of
+            `MotionCommand`.
     """
 
     command: MotionCommand = field(default_factory=MotionCommand)

@@ -69,26 +69,31 @@ class MotionVerifier(LeafSystem):
       `CostRingSelector`. Not connected: all sides have the same cost.
     - coupling_parameters (output): abstract `CouplingParameters`: coupling terms of the selected
       motion, if any, its temporal scaling, and a hold with a note if no candidate can be executed.
-    - route (output): abstract `Route` with the sides to which guidance turns the heading, for a
+    - route (output): abstract `Route`: side of each obstacle to which heading guidance turns a
       motion of the regressor chain; empty for other motions.
-    - demonstration: abstract `Demonstration` that a restarting motion imitates.
+    - demonstration: abstract `Demonstration` that the motion imitates after a restart from rest;
+      empty: demonstration of the task.
     - motion: abstract `PlannedMotion`: predicted motion of tool and joints, from the time of the
       decision on.
-    - sides: abstract `Route`: sides of the avoided obstacle with their costs, and the selected
-      side; for a viewer.
-    - shortfall: (1,) clearance shortfall [m]; 0 if the requested clearance is achieved.
-    - clearance_reduction: (1,) reduction of the requested clearance, because the current or goal
-      configuration achieves no more [m].
+    - sides: abstract `Route`: costs of the sides on which each obstacle can be passed, and the
+      side on which the selected motion passes; for a viewer.
+    - shortfall: (1,) clearance shortfall [m], by which the predicted motion falls below the
+      required clearance: the requested one, or less where the current or the goal configuration is
+      nearer to an obstacle. 0: the required clearance is achieved.
+    - clearance_reduction: (1,) requested clearance of the tool minus the largest clearance that is
+      required of any body of the arm from any obstacle [m]; 0 without obstacles.
     - decision: (2,) start time and compute latency of the last decision [s].
-    - source: (1,) kind of the motion, an index of `drake_oa.planning.search.SOURCES`; -1: no motion
-      was selected.
-    - candidates: (4,) numbers of candidates in the last search, in the order of `SOURCES`.
+    - source: (1,) kind of the motion; -1: no motion was selected. 0: nominal (demonstrated) motion;
+      1: all coupling terms of the regressor chain together; 2: motion of the evolution strategy; 3:
+      imitation of a joint-space path.
+    - candidates: (4,) numbers of candidates of these kinds, 0 to 3, in the last search.
 
     A decision starts at initialization and every `period`, with an offset so that it uses an
     observation of the same instant. With simulated compute latency, a decision becomes active at
     the first `step` of the movement primitive after its completion; meanwhile no other decision
-    starts. A completed decision is discarded if start or goal have changed, or if its motion is no
-    longer valid from the current state while the active motion is.
+    starts. A completed decision is discarded if start or goal have changed, or if it restarts a
+    motion that no longer rests. It is also discarded if its motion no longer achieves the predicted
+    clearance from the current state, while the active motion still does.
     """
 
     def __init__(
@@ -108,8 +113,8 @@ class MotionVerifier(LeafSystem):
             positions: indices of the arm's joints in the robot state.
             num_states: size of the robot state.
             period: time between decisions [s].
-            compute_latency: model of the simulated compute latency; None: decisions are active at
-                once.
+            compute_latency: model that converts the counted work of a decision to its simulated
+                compute latency; None: decisions are active at once.
             step: time step of the movement primitive, at which decisions become active [s].
 
         Raises:
@@ -173,7 +178,7 @@ class MotionVerifier(LeafSystem):
         return EventStatus.Succeeded()
 
     def _inputs(self, context: Context) -> PlanningInputs:
-        """Reads the inputs of a decision from the input ports, without moving geometries."""
+        """Reads the inputs of a decision from the input ports, and omits moving geometries."""
         return PlanningInputs(
             self._policy.read(context),
             np.array(self._goal.Eval(context)),
@@ -208,8 +213,9 @@ class MotionVerifier(LeafSystem):
     ) -> bool:
         """Checks whether a completed decision is no longer valid while the active decision is.
 
-        A motion is valid if it still achieves its predicted clearance from the current state. A
-        motion that restarts begins at rest, and is not compared.
+        A motion is valid if it still achieves its predicted clearance from the current state. The
+        result is False without this check if the active motion is held or has a shortfall, if the
+        completed decision restarts the motion from rest, or if the collision scenes differ.
 
         Args:
             result: completed decision.
@@ -225,7 +231,7 @@ class MotionVerifier(LeafSystem):
 
 
 def _log_change(previous: SelectedMotion, current: SelectedMotion, time: float) -> None:
-    """Logs contact, clearance shortfall and restart of a motion, if the previous one had none.
+    """Logs contact, clearance shortfall and restart of a motion, unless the previous one had them.
 
     Args:
         previous: motion that was executed before.

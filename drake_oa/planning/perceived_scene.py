@@ -1,15 +1,17 @@
 """System that represents perceived obstacles as collision geometry: one distance field each.
 
 A distance field is a grid of signed distances to the cloud of an obstacle. Its computation requires
-some milliseconds, and a changed field restarts the motion search. The noise of the camera changes
-the points of an obstacle in every frame. A field is therefore reused, and moved with its obstacle,
-as long as it explains the new cloud:
+some milliseconds, and a changed field triggers another motion search. The noise of the camera
+changes the points of an obstacle in every frame. A field is therefore reused, and moved to the
+expected position of its obstacle, as long as it explains the new cloud:
 
-- No new point is farther outside the field's surface at the expected position than a voxel. A voxel
-  is at least three standard deviations of a camera's noise at 1 m.
-- All but 5 % of the points from which the field was computed have a new point nearby.
+- Each new point is inside the surface of the moved field, or outside by at most one voxel (cell of
+  the grid). A voxel is at least three standard deviations of a camera's noise at 1 m.
+- All but 5 % of the points from which the field was computed have a new point within 1.5 voxels
+  along each axis.
 - The occluded part is unchanged: same view direction, same table, same maximum depth.
-- With several cameras, at most 5 % of the field's nodes deeper than a voxel are observed as free.
+- With several cameras, at most 5 % of the field's inner nodes, which are more than one voxel below
+  its surface, are observed as free.
 
 The approximation is conservative: small parts that are no longer occupied may remain occupied.
 """
@@ -48,12 +50,13 @@ _logger = logging.getLogger("drake_oa")
 _MAX_MOVING_DEPTH = 0.15
 """Maximum assumed depth of obstacles along the view, for filling their occluded side [m].
 
-It applies to obstacles that move or have moved. For others, the maximum is the visible depth,
-between `DEEPEST` and this value."""
+It applies to obstacles that move or have moved. For others, the maximum is the visible depth, but
+at least 0.08 m (`DEEPEST`) and at most this value."""
 _MAX_MISSING_FRACTION = 0.05
 """Maximum fraction of missing points for which an obstacle's distance field is reused [-].
 
-Missing are points of the field without a new point nearby, and inner nodes observed as free."""
+The fraction applies separately to the points of the field, of which those without a new point
+nearby are missing, and to its inner nodes, of which those observed as free are missing."""
 _MAX_CHECKED_POINTS = 500
 """Approximate maximum number of a distance field's points that are compared with a new cloud."""
 _MAX_VIEW_CHANGE = 0.1
@@ -64,7 +67,8 @@ _DEPTH_MARGIN = 0.01
 _MAX_INSIDE_NODES = 400
 """Approximate maximum number of nodes inside a distance field that are checked for free space."""
 _MAX_MAGNITUDE = 1e3
-"""Magnitude of coordinates and velocities above which an observation is ignored [m, m/s]."""
+"""Magnitude of a coordinate [m] or a velocity component [m/s] above which an observation is
+ignored."""
 
 _NOT_FINITE = "obstacles_W is not finite"
 """Note of the collision scene after an observation with NaN, infinite or too large values."""
@@ -80,10 +84,12 @@ class PerceivedField(Frozen):
         geometry: collision geometry of the field, with its current pose and velocity.
         grid: signed distances to the obstacle's cloud at the nodes of a grid.
         points: (N, 3) observed points in the world frame [m].
-        view_W: (n, 3) unit directions from each camera to the obstacle.
-        max_depth: maximum depth of the occluded part, which is filled [m].
+        view_W: (n, 3) unit directions from each camera to the obstacle in the world frame.
+        max_depth: maximum assumed depth of the obstacle along the view, for filling its occluded
+            side, unless its visible depth is larger [m].
         inside: (K, 3) sampled nodes, more than a voxel below the field's surface, that no image
-            observed as free, in the frame O of the obstacle [m]; (0, 3) with one camera.
+            observed as free, in the frame O of the grid (axes of the world, origin at the first
+            node) [m]; (0, 3) with one camera.
     """
 
     geometry: CollisionGeometry
@@ -120,12 +126,14 @@ def update_scene(
     """Updates the collision scene of perceived obstacles with a new observation.
 
     An observation that is not finite, or older than the previous one, is ignored. Geometries and
-    stamp then remain, so that the scene ages and moving geometries continue at constant velocity.
+    stamp then remain: the age of the scene increases, and moving geometries continue at constant
+    velocity.
 
     Args:
         previous: state after the previous observation.
         obstacles: new observation; without a support plane, the previous plane remains.
-        viewpoints_W: (n, 3) positions of the cameras [m]; (0, 3): occluded space is not filled.
+        viewpoints_W: (n, 3) positions of the cameras in the world frame [m]; (0, 3): occluded space
+            is not filled.
         views: depth images of several cameras; space that any image observes as free is not filled.
 
     Returns:
@@ -169,7 +177,7 @@ def update_scene(
 
 
 def _table_geometries(table: TablePlane | None) -> list[CollisionGeometry]:
-    """Returns the half-space below a support plane as a list of one geometry; empty without it."""
+    """Returns a list with the half-space below a support plane; an empty list without a plane."""
     return [] if table is None else [table_geometry(table)]
 
 
@@ -187,7 +195,8 @@ def _create_field(
         name: track ID of the obstacle.
         cloud: (N, 3) observed points in the world frame [m].
         viewpoints_W: (n, 3) positions of the cameras in the world frame [m].
-        max_depth: assumed depth of the obstacle, if its visible depth is smaller [m].
+        max_depth: maximum assumed depth of the obstacle along the view, unless its visible depth
+            is larger [m].
         table: support plane, below which nothing is filled; None: no plane.
         views: depth images of several cameras; space that any image observes as free is not filled.
     """
@@ -230,6 +239,8 @@ def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
 def _view_directions(geometry: CollisionGeometry, viewpoints_W: FloatArray) -> FloatArray:
     """Computes the unit directions (n, 3) from n cameras to the center of a collision geometry.
 
+    The directions are in the world frame.
+
     Args:
         geometry: collision geometry of an obstacle.
         viewpoints_W: (n, 3) positions of the cameras in the world frame [m].
@@ -247,14 +258,17 @@ def _reuse_field(
 ) -> PerceivedField | None:
     """Moves a distance field to its obstacle's expected position, if it explains the new cloud.
 
-    The module docstring lists the conditions.
+    It explains the cloud if the view directions are about the same; if no new point is outside the
+    moved field by more than a voxel; if at most 5 % of the field's points have no new point within
+    1.5 voxels; and if at most 5 % of its inner nodes are observed as free.
 
     Args:
         previous: distance field at the previous observation.
-        cloud: (M, 3) newly observed points of the obstacle [m].
-        expected: (3,) expected displacement of the obstacle since the previous observation [m].
-        viewpoints_W: (n, 3) positions of the cameras [m].
-        views: depth images of several cameras, which may observe the field's inside as free.
+        cloud: (M, 3) newly observed points of the obstacle in the world frame [m].
+        expected: (3,) expected displacement of the obstacle since the previous observation, in the
+            world frame [m].
+        viewpoints_W: (n, 3) positions of the cameras in the world frame [m].
+        views: depth images of several cameras, which may observe the field's inner nodes as free.
 
     Returns:
         The moved field; None: the cloud requires a new field.
@@ -307,14 +321,16 @@ class PerceivedScene(LeafSystem):
     with the depth images of the observation. Space that any of these images observes as free is not
     filled. Images of another time than that of the observation are ignored.
 
-    - obstacles_W: abstract `ObstacleClouds` of any source.
+    - obstacles_W: abstract `ObstacleClouds`: point clouds, track IDs and velocities of the
+      perceived obstacles, and the support plane if it was detected.
     - camera_pose (optional): RigidTransform X_WC of the camera. Not connected: the occluded part
       of obstacles is not filled.
     - collision_scene_W: abstract `CollisionScene`: one distance field per obstacle, with its
       velocity, and the half space below the table, if known. Space that an obstacle occludes from
-      all cameras is filled (`drake_oa.geometry.distance_field.field_of`), and obstacles truncated
-      by the border of an image are extended
-      (`drake_oa.perception.visibility.with_occluded_extents`).
+      a camera is filled up to an assumed depth, unless an image observes it as free
+      (`drake_oa.geometry.distance_field.field_of`). Obstacles truncated by the upper or lower
+      border of an image, or by its minimum depth, are extended upright by up to their visible
+      length (`drake_oa.perception.visibility.with_occluded_extents`).
 
     The state is updated every `period`, after the observation of the same instant and before the
     decision that uses the output. An observation that is not finite is ignored, with a warning.
@@ -331,9 +347,9 @@ class PerceivedScene(LeafSystem):
 
         Args:
             period: time between observations [s].
-            cameras: image range of each camera by the name of its pose port; obstacles that the
-                image truncates are extended beyond this range. None: one port camera_pose, and no
-                obstacle is extended.
+            cameras: vertical range of the image and minimum depth of each camera, by the name of
+                its pose port; obstacles that are truncated there are extended. None: one port
+                camera_pose, and no obstacle is extended.
             table: support plane until one is observed; None: no plane.
 
         Raises:

@@ -17,14 +17,15 @@ from drake_oa.planning.search import CLEARANCE_WEIGHT, INFEASIBLE_PENALTY, Searc
 from drake_oa.policy.rollout import Scene, ToolRollouts
 
 _COLLISION_PENALTY = 50.0
-"""Cost of a candidate motion that touches an ellipsoid, added to that of its shortfall [-]."""
+"""Cost of a candidate motion that touches an ellipsoid, added to that of its clearance shortfall
+[-]."""
 
 
 class PointSearch(Search):
     """Evolution strategy that searches for the motion of a point among ellipsoids.
 
-    The required clearance from an ellipsoid is the requested clearance or, if smaller, the distance
-    of the current position or of the goal from this ellipsoid.
+    The required clearance from an ellipsoid is the requested clearance or, if smaller, its distance
+    from the current position now, or from the goal at the time of arrival.
     """
 
     def __init__(self, scene: Scene, **more: Any) -> None:
@@ -32,7 +33,7 @@ class PointSearch(Search):
 
         Args:
             scene: initial state, goal, ellipsoids, and requested clearances.
-            more: further arguments of `Search`.
+            more: further arguments of `Search`: movement primitive, parameters, warm start.
         """
         super().__init__(scene, **more)
         self.max_required = np.minimum(scene.clearance, self._distances(scene.p_WE))
@@ -41,7 +42,8 @@ class PointSearch(Search):
         """Computes the signed distances of points to the K ellipsoids at their initial positions.
 
         Args:
-            p_WQ: (..., K, 3) a point for each ellipsoid, or (..., 1, 3) the same point for all [m].
+            p_WQ: (..., K, 3) a point for each ellipsoid, or (..., 1, 3) the same point for all, in
+                the world frame [m].
 
         Returns:
             (..., K) distances, negative inside an ellipsoid [m].
@@ -54,7 +56,13 @@ class PointSearch(Search):
     ) -> FloatArray:
         """Computes the costs (n,) of clearance shortfall and contact along n candidate paths [-].
 
-        Moving ellipsoids keep their velocity. The arguments are those of `Search.clearance_cost`.
+        Moving ellipsoids keep their velocity.
+
+        Args:
+            params: (n, 6) candidate parameters; not used.
+            tool: simulated motions of the tool point.
+            cost: (n,) other costs of the candidates; not used.
+            max_cost: cost at or above which a candidate is of no use; not used.
         """
         scene, slack, step = self.scene, self.parameters.slack, self.dmp.duration * tool.ds
         v_WO = scene.ellipsoids.v_WO

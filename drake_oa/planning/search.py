@@ -3,10 +3,11 @@
 A candidate motion has one avoidance term, (8) of Pairet et al., RA-L 2019: a turning rate that
 steers the motion away from a point, with strength alpha, angular width psi, and decay kappa with
 the squared distance. The point lies in the plane of the baseline (line of length L from start to
-goal) and of a side direction omega, orthogonal to the baseline. The parameters `params` (6,) of a
-candidate, here and in all modules that use this search, are::
+goal) and of a side direction omega, orthogonal to the baseline, toward which the motion turns. The
+parameters `params` (6,) of a candidate, here and in all modules that use this search, are::
 
-    angle of omega in the local YZ plane, position of the point along the baseline / L,
+    angle of omega in the YZ plane of the local frame (x along the baseline, z up),
+    position of the point along the baseline / L,
     offset from the baseline toward omega / L (at most 0), ln kappa L^2, ln psi, ln alpha
 
 Every candidate is rolled out (simulated) by the kernel of the integrator
@@ -74,30 +75,35 @@ N_PARAMS = 6
 """Number of parameters of a candidate motion of the search."""
 ANGLE, ALONG, LATERAL, KAPPA, PSI, ALPHA = range(N_PARAMS)
 LOWER = np.array([-np.inf, 0.01, -0.3, math.log(0.1), math.log(0.15), math.log(0.1)])
-"""(6,) lower bounds of the search's parameters: angle [rad] of the side, then dimensionless ones.
+"""(6,) lower bounds of a candidate's parameters: angle [rad] of the side, then dimensionless ones.
 
-These are position along and beside the baseline, ln kappa, ln psi, ln alpha of an avoidance term.
-Lengths are divided by the baseline (distance from start to goal)."""
+These are, for an avoidance term, the position of its center along and beside the baseline (line
+from start to goal), ln kappa, ln psi and ln alpha. Lengths are divided by the baseline's."""
 UPPER = np.array([np.inf, 0.99, 0.0, math.log(3e3), math.log(5.0), 30.0])
-"""(6,) upper bounds of the search's parameters: angle [rad] of the side, then dimensionless ones.
+"""(6,) upper bounds of a candidate's parameters: angle [rad] of the side, then dimensionless ones.
 
-These are position along and beside the baseline, ln kappa, ln psi, ln alpha of an avoidance term.
-Lengths are divided by the baseline (distance from start to goal)."""
+These are, for an avoidance term, the position of its center along and beside the baseline (line
+from start to goal), ln kappa, ln psi and ln alpha. Lengths are divided by the baseline's."""
 STEP_SIZES = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8])
 """(6,) standard deviations of the largest random variation (mutation) of a candidate's parameters.
 
-The parameters are the angle [rad] of the side; position along and beside the baseline, divided by
-its length; ln kappa, ln psi, ln alpha of an avoidance term."""
+The parameters of its avoidance term are the angle [rad] of the side; the position of its center
+along and beside the baseline (line from start to goal), divided by the baseline's length; ln kappa,
+ln psi and ln alpha."""
 N_ELITES = 8
 """Number of best candidate motions that the evolution strategy varies in the next generation."""
 INITIAL_SPACING = 0.6
-"""Range of ln alpha in which the first generation varies only the best candidate's strength [-]."""
+"""Range of ln alpha over which the first generation varies the best candidate's strength alone [-].
+
+These variations have the best candidate's other parameters; the remaining candidates of a
+generation (iteration) vary in all parameters."""
 _SPACING_RATIO = 0.4
 """Ratio of the ranges of ln alpha in two successive generations of the search [-].
 
-Within its range, a generation varies only the strength alpha of the best candidate."""
+Over this range, a generation varies the strength alpha of the best candidate alone."""
 _MIN_SPACING = 0.02
-"""Minimum range of ln alpha in which a generation varies only the best candidate's strength [-]."""
+"""Minimum range of ln alpha over which a generation varies the best candidate's strength alone [-].
+"""
 NO_SIDE_COST = np.zeros(1)
 """(1,) additional cost 0 of passing obstacles, the same on all sides around the baseline [-]."""
 SAMPLES = 64
@@ -110,13 +116,15 @@ ABORT_SHORTFALL = 0.06
 It applies as long as infeasible candidates may be among the best ones. Afterwards any shortfall
 beyond the tolerance aborts a roll-out."""
 _CYCLE_LENGTH = 24
-"""Number of generations after which the search repeats its random numbers and ranges of alpha."""
+"""Number of generations after which the search repeats its random numbers and `ln alpha` ranges."""
 _LATENCY_MODEL = LatencyModel()
 """Model of the compute latency by which a search decides whether another generation may start.
 
 It does not depend on the block `compute_latency` of a scenario."""
 MAX_POSE_ERROR = 5e-4
-"""Maximum error of the tool pose at which the arm counts as following a tool path [m, rad]."""
+"""Maximum pose error of the tool at which the arm counts as following a tool path.
+
+It applies to each component of the position error [m] and of the rotation vector [rad]."""
 MAX_GOAL_ERROR = 0.02
 """Maximum distance from the goal at the end of an executed motion, as a fraction of the distance
 from start to goal."""
@@ -137,7 +145,8 @@ _GOAL_MISS_PENALTY = 2.0
 _LATENESS_WEIGHT = 0.05
 """Weight w_late of a late arrival in the cost of a candidate motion [-].
 
-It is multiplied by the normalized time by which the motion ends after 1."""
+It is multiplied by the delay of the arrival after the planned end of the motion, over the planned
+duration."""
 _LINE_FRACTION = 0.2
 """Fraction of a generation's candidates that differ from the best in strength alpha only [-]."""
 _MIN_LINE_COUNT = 5
@@ -145,7 +154,8 @@ _MIN_LINE_COUNT = 5
 _FIRST_RANDOM_GENERATION = 6
 """Index of the first generation with uniformly random candidates, if none is feasible so far.
 
-Generations are iterations of the search, counted from 0."""
+Generations are iterations of the search. They are counted from 0, over successive searches of a
+motion, and again from 0 after 24 generations (`_CYCLE_LENGTH`)."""
 NOMINAL_PARAMS = np.where(np.arange(N_PARAMS) == ALPHA, -np.inf, 0.0)[None]
 """(1, 6) candidate parameters of the nominal motion, whose avoidance term has the strength 0."""
 NO_ELITES = np.zeros((0, N_PARAMS))
@@ -153,8 +163,8 @@ NO_ELITES = np.zeros((0, N_PARAMS))
 SOURCES = ("nominal", "chain", "search", "joint_path")
 """Names of the sources of a selected motion; ports and log files contain their indices.
 
-The sources are the nominal (demonstrated) motion, the regressor chain's coupling terms for all
-obstacles together, the evolution strategy, and a joint-space path."""
+The sources are the nominal (demonstrated) motion; "chain", the regressor chain's coupling terms for
+all obstacles together; "search", the evolution strategy; and a joint-space path."""
 NOMINAL, CHAIN, SEARCH, JOINT_PATH = range(len(SOURCES))
 _SIDE_SEEDS = np.tile([0.0, 0.5, -0.05, 1.0, 0.3, 4.0], (16, 1))
 _SIDE_SEEDS[:, ANGLE] = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
@@ -168,11 +178,14 @@ def avoidance_terms(scene: Scene, params: FloatArray) -> FloatArray:
 
     Args:
         scene: start, goal and local frame of the motions.
-        params: (N, 6) candidate parameters: angle of the side, position of the point along and
-            beside the baseline, ln kappa, ln psi, ln alpha; see the module docstring.
+        params: (N, 6) candidate parameters: angle of the side [rad]; position of the point along
+            and beside the baseline (line from start to goal), over its length L; ln kappa L^2;
+            ln psi; ln alpha.
 
     Returns:
-        (N, 12) coupling terms with the columns of `drake_oa.policy.coupling.turn_step`.
+        (N, 12) coupling terms in the world frame: point (3) [m], alpha in units of 1/T with the
+        demonstrated duration T, psi [rad], kappa [1/m^2], guidance heading (3), which is zero (no
+        guidance), and normal of the plane of rotation (3).
     """
     x, y, z = scene.R_WL.T
     cos, sin = np.cos(params[:, ANGLE, None]), np.sin(params[:, ANGLE, None])
@@ -193,14 +206,17 @@ def params_of(
 ) -> FloatArray:
     """Converts coupling terms to candidate parameters (N, 6), the inverse of `avoidance_terms`.
 
-    A coupling term is a turning rate that steers the motion away from a point.
+    A coupling term is a turning rate that steers the motion away from a point. Its candidate
+    parameters are the angle of the side [rad]; the position of the point along and beside the
+    baseline (line from start to goal), over its length L; ln kappa L^2; ln psi; ln alpha.
 
     Args:
         scene: start, goal and local frame of the motion.
-        p_WP: (N, 3) points about which the terms act [m]; components outside the plane of the
-            baseline and the side are ignored.
-        normal_W: (N, 3) normals of the planes in which the terms turn the motion.
-        strength: (N, 3) parameters of the terms: alpha in units of 1/T, psi [rad], kappa [1/m^2].
+        p_WP: (N, 3) points from which the terms turn the motion, in the world frame [m]; components
+            outside the plane of the baseline and the side are ignored.
+        normal_W: (N, 3) normals of the planes in which the terms turn the motion, in the world.
+        strength: (N, 3) parameters of the terms: alpha in units of 1/T with the demonstrated
+            duration T, psi [rad], kappa [1/m^2].
     """
     x, y, z = scene.R_WL.T
     along = (p_WP - scene.p_WG) / scene.baseline
@@ -217,7 +233,8 @@ def rows_of(terms: FloatArray) -> CouplingParameters:
     """Converts an array of M coupling terms to the message `CouplingParameters`.
 
     Args:
-        terms: (M, 12) coupling terms with the columns of `drake_oa.policy.coupling.turn_step`.
+        terms: (M, 12) coupling terms in the world frame: center (3) [m], alpha, psi, kappa,
+            guidance heading (3), which is ignored, and normal of the plane of rotation (3).
     """
     alpha, psi, kappa = np.ascontiguousarray(terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1].T)
     return CouplingParameters(
@@ -232,9 +249,11 @@ def strengths(params: FloatArray, is_feasible: bool, spacing: float, count: int)
     feasible candidate therefore have a smaller alpha, those of an infeasible one a larger alpha.
 
     Args:
-        params: (6,) parameters of the candidate.
-        is_feasible: whether the candidate is feasible.
-        spacing: maximum decrease of ln alpha, and 0.4 times its maximum increase [-].
+        params: (6,) parameters of the candidate, of which the last is ln alpha.
+        is_feasible: whether the candidate is feasible (achieves the clearance, arrives, and the arm
+            can follow it).
+        spacing: range of ln alpha [-]: the decreases for a feasible candidate are below it, and the
+            increases for an infeasible one below 2.5 times this range.
         count: number of variations.
 
     Returns:
@@ -250,10 +269,14 @@ class Ranking(NamedTuple):
     """Evaluated candidate motions, sorted by ascending cost except directly after evaluation.
 
     Attributes:
-        params: (n, 6) candidate parameters; `NOMINAL_PARAMS` for a candidate of the source `CHAIN`.
-        cost: (n,) costs J of the module docstring [-].
+        params: (n, 6) candidate parameters: angle of the side [rad]; position of the term's center
+            along and beside the line from start to goal, over its length L; ln kappa L^2; ln psi;
+            ln alpha. The motion of the regressor chain (source 1) has `NOMINAL_PARAMS` instead.
+        cost: (n,) costs J [-]: path length over the distance from start to goal, plus penalties; 10
+            (`INFEASIBLE_PENALTY`) or more for an infeasible candidate.
         length: (n,) lengths of the tool's paths [m].
-        source: (n,) indices of `SOURCES`.
+        source: (n,) kinds of the candidates: 0 nominal motion, 1 coupling terms of the regressor
+            chain, 2 evolution strategy, 3 joint-space path.
     """
 
     params: FloatArray
@@ -276,10 +299,14 @@ class Ranking(NamedTuple):
 class Search(ABC):
     """Evolution strategy that searches for the best motion from one state; base class.
 
-    A subclass defines the obstacles by its costs of clearance.
+    A subclass defines the obstacles, by the method that computes the cost of clearance shortfalls.
+    The six parameters of a candidate are the angle of the side on which it passes [rad]; the
+    position of its coupling term's center along and beside the line from start to goal, over its
+    length L; ln kappa L^2; ln psi; and ln alpha.
 
     Attributes:
-        counts: (4,) numbers of rolled-out candidates, in the order of `SOURCES`.
+        counts: (4,) numbers of rolled-out candidates of each kind: nominal motion, coupling terms
+            of the regressor chain, evolution strategy, joint-space path.
         elites: (k, 6) parameters of the best candidates after the last generation.
         generations: number of generations (iterations), including those of earlier searches.
     """
@@ -306,11 +333,13 @@ class Search(ABC):
             scene: initial state, goal and obstacles of the motion.
             dmp: movement primitive of the nominal motion.
             policy: configuration of the movement primitive, of which `period` (time step) and
-                `fade` are used.
+                `fade` (distance from the goal at which coupling terms fade) are used.
             parameters: numbers of candidates and generations, and tolerances.
-            previous: (1, 6) candidate parameters of the current motion; (0, 6): no term.
+            previous: (1, 6) candidate parameters of the current motion; (0, 6): the current motion
+                has no coupling term of the search.
             side_cost: (K,) additional costs of passing on K evenly spaced sides around the line
-                from start to goal [-]; inf: forbidden side.
+                from start to goal, as path length over the length of this line [-]; inf: forbidden
+                side.
             elites: (k, 6) warm start: best candidates of an earlier search.
             generations: number of generations of the earlier search.
             max_latency: modeled compute latency beyond which no generation starts [s].
@@ -351,9 +380,10 @@ class Search(ABC):
         Args:
             guides: obstacles with the coupling terms of the regressor chain, which are evaluated
                 together as one candidate with heading guidance; None: no such candidate.
-            seeds: (n, 6) parameters of first candidates, in addition to moderate terms on all
-                sides.
-            source: index in `SOURCES` of the current motion.
+            seeds: (n, 6) parameters of first candidates, in addition to a moderate avoidance term
+                on each of 16 sides.
+            source: kind of the current motion, an index of `SOURCES` ("nominal", "chain", "search",
+                "joint_path").
 
         Returns:
             Ranking that contains the best candidate only.
@@ -394,7 +424,8 @@ class Search(ABC):
 
         Args:
             params: (n, 6) candidate parameters.
-            source: index of the candidates in `SOURCES`.
+            source: kind of the candidates, an index of `SOURCES` ("nominal", "chain", "search",
+                "joint_path").
             max_cost: cost above which the roll-out of a candidate is aborted [-].
             guides: obstacles with the coupling terms of the regressor chain, for one candidate with
                 heading guidance; these terms replace those of `params`.
@@ -515,11 +546,11 @@ def references(s: FloatArray, R_WE: FloatArray, q: FloatArray) -> BSpline:
     """Interpolates the desired tool orientation and the nominal posture over normalized time.
 
     Interpolated rotation matrices are not orthonormal. With samples a degree apart the error is
-    negligible, since `arm.pose_error` uses only the rotation angle.
+    negligible, since the inverse kinematics computes only rotation vectors from them.
 
     Args:
-        s: (T,) normalized times from 0 to 1.
-        R_WE: (T, 3, 3) desired orientations of the tool.
+        s: (T,) normalized times (time over the duration of the motion) from 0 to 1.
+        R_WE: (T, 3, 3) desired orientations of the tool in the world frame.
         q: (T, n) nominal postures, which the null space of the arm tracks [rad].
 
     Returns:
@@ -555,12 +586,13 @@ class ArmSearch(Search):
         """Stores the collision model, the current configuration, and the arguments of `Search`.
 
         Args:
+            scene: initial state and goal of the motion.
             world: collision model of the arm, with the required clearances.
             q: (n,) current configuration [rad].
-            reference: desired tool orientation and nominal posture over normalized time, as
-                computed by `references`.
+            reference: spline over normalized time with 9 + n columns: desired tool orientation
+                R_WE, row by row, and nominal posture of the null space [rad].
             samples: number of samples of a whole-arm roll-out over the normalized times 0 to 1.
-            scene, more: arguments of `Search`.
+            more: further arguments of `Search`: movement primitive, parameters, warm start.
         """
         super().__init__(scene, **more)
         self.world, self.q, self.reference = world, q, reference
@@ -572,7 +604,14 @@ class ArmSearch(Search):
     ) -> FloatArray:
         """Computes the costs (n,) of clearance shortfall, pose error and excessive joint speed [-].
 
-        The whole arm is rolled out for this. The arguments are those of `Search.clearance_cost`.
+        The whole arm is rolled out for this.
+
+        Args:
+            params: (n, 6) candidate parameters.
+            tool: simulated motions of the tool point.
+            cost: (n,) other costs of the candidates [-].
+            max_cost: cost at or above which a candidate is of no use, so that its roll-out is
+                aborted [-].
         """
         L, slack = self.scene.baseline, self.parameters.slack
         abort_shortfall = slack if max_cost < INFEASIBLE_PENALTY else ABORT_SHORTFALL
@@ -586,9 +625,10 @@ class ArmSearch(Search):
         )
 
     def sample_times(self, count: int) -> FloatArray:
-        """Returns the normalized times (count,) at which a roll-out is sampled, starting now.
+        """Returns the normalized times (count,) of a roll-out's samples, the first of which is now.
 
-        Normalized time is time over the demonstrated duration times the temporal scaling tau.
+        Normalized time is time over tau T, with the demonstrated duration T and the temporal
+        scaling tau.
         """
         return np.asarray(self.scene.s + self.every * self.ds * np.arange(count))
 
@@ -614,8 +654,10 @@ ERROR, SPEED_RATIO, SAMPLE_COUNT = 3, 4, 5
 _N_RESULTS = 6
 """Number of columns of the results of a whole-arm roll-out in the compiled kernel.
 
-The columns are the clearance margins of tool, links and self-distance, the maximum pose error, the
-maximum joint speed ratio, and the number of samples."""
+The columns are the clearance margins (distance minus required clearance) of tool, links and
+self-distance [m], the maximum pose error of the tool [m, rad], the maximum ratio of a joint's speed
+to its limit [-], and the number of samples. A pose error is the largest absolute component of the
+position error [m] and of the rotation vector [rad]."""
 _MIN_CANDIDATES_PER_THREAD = 8
 """Minimum number of candidates per additional thread of the whole-arm roll-outs."""
 
@@ -623,12 +665,13 @@ _MIN_CANDIDATES_PER_THREAD = 8
 class ToolPaths(NamedTuple):
     """Motions of the tool for N candidates at T normalized times, with postures of the null space.
 
-    Normalized time is time over the demonstrated duration times the temporal scaling tau.
+    Normalized time is time over tau T, with the demonstrated duration T and the temporal scaling
+    tau.
 
     Attributes:
         s: (T,) normalized times, ascending, from the current time on.
-        p_WE: (N, T, 3) positions [m]; NaN after the end of a motion.
-        R_WE: (N, T, 9) orientations, row by row.
+        p_WE: (N, T, 3) positions in the world frame [m]; NaN after the end of a motion.
+        R_WE: (N, T, 9) orientations in the world frame: rotation matrices, row by row.
         posture: (N, T, n) nominal postures of the null space [rad].
         seconds: time that corresponds to a difference of 1 in normalized time [s].
     """
@@ -646,10 +689,12 @@ class ArmRollouts(NamedTuple):
     Attributes:
         clearance_margin: (N, 3) minimum clearance margins (distance minus required clearance) of
             tool, links and self-distance, at most `FAR` [m].
-        error: (N,) maximum error of the tool pose [m, rad].
+        error: (N,) maximum pose error of the tool over the samples, where a pose error is the
+            largest absolute component of position error [m] and rotation vector [rad].
         max_joint_speed_ratio: (N,) maximum ratio of a joint's speed to the speed limit [-].
-        samples: (N,) numbers of checked samples; fewer than T for an aborted roll-out.
-        q: (N, T, n) configurations [rad].
+        samples: (N,) numbers of checked samples; fewer than T for an aborted roll-out, or for a
+            tool path that ends earlier.
+        q: (N, T, n) configurations; after the last checked sample, that of this sample [rad].
     """
 
     clearance_margin: FloatArray
@@ -702,11 +747,18 @@ def _roll_some(
     Args:
         part: index of the thread.
         parts: number of threads.
-        chain, spheres, geometries, required, now: attributes of `ArmCollisionModel`.
+        chain: kinematic chain of the arm.
+        spheres: spheres that cover the arm.
+        geometries: collision geometries of environment and obstacles.
+        required: required clearances between the arm's bodies and geometries, and between bodies.
+        now: time at which the positions of the geometries are evaluated [s].
         q0: (n,) configuration at the start of all paths [rad].
         paths: motions of the tool for N candidates at T normalized times.
-        abort_below: (N,) clearance margins below which a roll-out is aborted [m].
-        out: (N, 6) results with the columns of `_N_RESULTS`, set in place.
+        abort_below: (N,) clearance margins (distance minus required clearance) below which a
+            roll-out is aborted [m].
+        out: (N, 6) results, set in place: clearance margins of tool, links and self-distance [m],
+            maximum pose error of the tool [m, rad], maximum ratio of a joint's speed to its limit,
+            and number of samples.
         Q: (N, T, n) configurations, set in place [rad].
     """
     T, n = Q.shape[1:]
