@@ -1,11 +1,13 @@
 """Posture layer: nominal joint motion that the null space of a redundant arm tracks.
 
-In:  motion `PlannedMotion` with joint positions (T, n) [rad]; policy_state `PolicyState`.
-Out: desired_posture (2n,) [rad, rad/s] for `MotionGuard` or `CartesianInverseDynamics`.
+In:  motion `PlannedMotion` with joint positions (T, n) [rad]; policy_state `PolicyState`, the state
+     of the movement primitive that generates the motion of the tool.
+Out: desired_posture (2n,), nominal joint positions [rad] and velocities [rad/s], for `MotionGuard`
+     or `CartesianInverseDynamics`.
 
 System
     NominalPostureSource  outputs the planned joint positions as a continuous trajectory over time,
-                          and checks at each step of the policy (8 ms) for a new plan
+                          and checks every 8 ms (step of the movement primitive) for a new plan
 
 Method
     Monotone cubic interpolation of the samples (F. N. Fritsch and J. Butland, SIAM J. Sci. Stat.

@@ -29,16 +29,18 @@ class NominalPostureSource(LeafSystem):
       output_ports:
       - desired_posture
 
-    - motion: abstract `PlannedMotion`, joint positions over normalized time (time over demonstrated
-      duration times tau); without joint positions the nominal posture is `q_rest`.
+    - motion: abstract `PlannedMotion`, joint positions over normalized time (time over tau T, with
+      the demonstrated duration T and the temporal scaling tau); without joint positions the nominal
+      posture is the argument `q_rest`.
     - policy_state: abstract `PolicyState` of the movement primitive.
     - desired_posture: (2n,) nominal positions [rad] and velocities [rad/s] of the arm's n joints,
       for `MotionGuard` or `CartesianInverseDynamics`.
 
-    The posture is that of the planned motion at the policy's normalized time. The posture is at
-    rest while the motion is held, and after a restart until the input contains a plan for the new
-    motion. The transition to a new plan is continuous (`drake_oa.posture.posture_trajectory`). The
-    abstract state is the current `PostureTrajectory`.
+    The posture is that of the planned motion at the normalized time of the movement primitive. The
+    posture is at rest while the motion is held (stopped on its path). It is also at rest after a
+    restart of the motion from another start, until the input contains a plan for the new motion.
+    The transition to a new plan is continuous (`drake_oa.posture.posture_trajectory`). The abstract
+    state is the current `PostureTrajectory`.
     """
 
     def __init__(self, q_rest: FloatArray, alpha_k: float, *, period: float = 0.008) -> None:
@@ -46,7 +48,7 @@ class NominalPostureSource(LeafSystem):
 
         Args:
             q_rest: (n,) nominal posture while no joint positions are planned [rad].
-            alpha_k: decay rate of the policy's phase, per normalized time.
+            alpha_k: decay rate of the movement primitive's phase, per normalized time [-].
             period: period at which the input `motion` is checked for a new plan [s].
         """
         super().__init__()

@@ -2,8 +2,8 @@
 
 Between the samples of a planned motion the joints follow monotone cubic polynomials of normalized
 time (F. N. Fritsch and J. Butland, SIAM J. Sci. Stat. Comput. 5(2), 1984). These polynomials do not
-overshoot: each joint stays between its positions at both samples. The transition to a new plan
-q*(t) is critically damped,
+overshoot: each joint stays between its positions at the two neighboring samples. The transition to
+a new plan q*(t) is critically damped,
 
     q(t) = q*(t) + (e_0 + (de_0/dt + w e_0) (t - t_0)) exp(-w (t - t_0)),
 
@@ -31,8 +31,8 @@ class PostureTrajectory(Frozen):
 
     Attributes:
         motion: planned motion that the trajectory follows.
-        spline: planned joint positions over normalized time (time over demonstrated duration times
-            tau) [rad]; constant if none are planned.
+        spline: planned joint positions over normalized time (time over tau T, with the demonstrated
+            duration T and the temporal scaling tau) [rad]; constant if none are planned.
         offset: (2n,) positions and velocities of the previous trajectory minus those of the plan,
             at the time of the change to this plan [rad, rad/s].
         since: time of the change to this plan [s].
