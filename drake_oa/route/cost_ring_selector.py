@@ -41,6 +41,8 @@ _logger = logging.getLogger("drake_oa")
 class CostRingSelector(LeafSystem):
     """Selector of the side on which each obstacle is passed, by costs of directions (cost rings).
 
+    A side is a direction orthogonal to the baseline, the line from start to goal.
+
     .. pydrake_system::
 
       name: CostRingSelector
@@ -56,21 +58,23 @@ class CostRingSelector(LeafSystem):
     - ellipsoids_W: abstract `EllipsoidSet`, the obstacles dilated by the tool in the world frame.
     - policy_state: abstract `PolicyState` of the movement primitive.
     - goal: (3,) goal of the motion in the world frame [m].
-    - table (optional): abstract `TablePlane`, the support plane. Not connected: the plane of
-      the ellipsoids.
+    - table (optional): abstract `TablePlane`, the support plane. Not connected: the support plane
+      that `ellipsoids_W` contains.
     - route: abstract `Route`: for each obstacle the selected direction omega_d, the normal of the
-      plane in which the obstacle is passed, and the clearance of the guidance; the cost rings; and
-      the costs of the sides by user-supplied rings. Empty before the first motion. The output
-      changes with decisions, not with each step of the policy; `DmpIntegrator` computes the
-      guidance headings.
-    - decision: the same `Route`, for readers under another signal name.
+      plane in which the obstacle is passed, and the clearance at which heading guidance leads the
+      motion past it; the cost rings; and the costs of the sides by user-supplied rings. Empty
+      before the first motion. The output changes with decisions, not with each step of the movement
+      primitive; `DmpIntegrator` computes the guidance headings.
+    - decision: abstract `Route`, equal to `route`: a second port, so that a diagram can give the
+      selection of the policy and that of a viewer different signal names.
 
     The sides of all obstacles are selected together (`drake_oa.route.cost_rings`). If all
-    directions of an obstacle are forbidden, `blocked` is set, the note names the obstacle, and the
-    policy holds the motion until a direction is allowed.
+    directions of an obstacle are forbidden, `Route.blocked` is set, and `Route.note` names the
+    obstacle. The movement primitive then holds the motion until a direction is allowed.
 
-    `Route.side_cost` is the cost of passing all obstacles on one side. It is the sum of the maxima
-    of each user-supplied ring over the obstacles, and infinite if any maximum is 1.
+    `Route.side_cost` is the cost of passing all obstacles on the same side. It is `ring_weight`
+    times the sum of the maxima of each user-supplied ring over the obstacles, and infinite if any
+    maximum is 1.
 
     The sides are selected at initialization, once per `period`, and at once if the set of obstacles
     changes; hysteresis prevents frequent changes. The periodic update has a small offset, so that
@@ -94,8 +98,10 @@ class CostRingSelector(LeafSystem):
             period: time between decisions [s].
             table_height: minimum height of the tool point above the table [m].
             joint_margins: function that computes the distance of the joints from their limits along
-                paths of the tool; None: the rings "workspace" and "joint_limits" are omitted.
-            extra_rings: user-supplied cost rings by name.
+                paths of the tool; None: the rings "workspace" (reach of the arm) and "joint_limits"
+                are omitted.
+            extra_rings: user-supplied cost rings by name, functions that map a `RingScene` of M
+                obstacles and K directions to costs (M, K) in [0, 1]; 1 forbids a direction.
             ring_weight: cost of a side that a user-supplied ring rates just below 1, as additional
                 path length over the distance from start to goal [-].
 

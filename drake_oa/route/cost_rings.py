@@ -13,19 +13,21 @@ kinematics along the path. A ring is a function that maps a `RingScene` to an (M
 in [0, 1]; `select_directions` also adds user-supplied rings to the sum.
 
 With several obstacles along the baseline (the line from start to goal) the best side of one depends
-on that of the next: the leg (straight segment) between two passing points has a length and may
-intersect a third obstacle. With N groups of obstacles (`overlap_groups`) in their order along the
-baseline, and the direction omega_i of group i, the selection minimizes
+on that of the next: the leg (straight segment) between their passing points has a length and may
+intersect a third obstacle. A passing point is beside an obstacle, in the direction of the side and
+with the requested clearance (`ring_scene`). Obstacles without a passage between them form a group
+(`overlap_groups`). With N groups in their order along the baseline, and the direction omega_i of
+group i, the selection minimizes
 
     sum_i eta_i(omega_i) + N (l(omega_1, ..., omega_N) - l_min) / max(l_max - l_min, 0.1 N L)
           + 2 sum over the legs of their obstruction.
 
 eta_i is the sum of the rings of group i except the length ring. l is the length of the path from
 start via the passing points to the goal. l_min and l_max are its minimum and maximum over all
-combinations of directions, and L is the length of the baseline. The obstruction of a leg is
-computed by `obstruction`. With one obstacle no leg is obstructed, and the sum equals that of (12).
-Each term depends on consecutive groups only. Dynamic programming (Viterbi) thus finds the minimum
-of all K^N combinations of K directions in N K^2 steps.
+combinations of directions, and L is the length of the baseline. The obstruction of a leg, from 0
+(free) to 1 (intersects an obstacle), is computed by `obstruction`. With one obstacle no leg is
+obstructed, and the sum equals that of (12). Each term depends on consecutive groups only. Dynamic
+programming (Viterbi) thus finds the minimum of all K^N combinations of K directions in N K^2 steps.
 """
 
 from __future__ import annotations
@@ -47,10 +49,11 @@ JOINT_MARGIN = 0.1
 _HYSTERESIS = 0.2
 """Minimum reduction of the total cost for which the passing side of obstacles changes [-]."""
 LEAST_SPREAD = 0.1
-"""Minimum spread of path lengths past an obstacle that is scaled to costs from 0 to 1 [-].
+"""Minimum divisor of the costs of path lengths, over the distance from start to goal [-].
 
-The spread over all directions of passing is divided by the distance from start to goal. If it is
-smaller, all costs are below 1."""
+The cost of a path past an obstacle is its excess over the shortest path, divided by the difference
+of the longest and the shortest path, or by this minimum. If the difference is smaller than the
+minimum, all costs are below 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +66,9 @@ class RingScene:
         p_WS: (3,) start [m].
         p_WG: (3,) goal [m].
         ellipsoids: M obstacles, dilated by the tool.
-        table: support plane, or None.
-        angles: (K,) angles of the directions [rad], 0 along local y, pi/2 along local z.
+        table: support plane; None: unknown.
+        angles: (K,) angles of the directions [rad], 0 along y and pi/2 along z of the local frame
+            (x from start to goal, z up).
         directions_W: (K, 3) directions omega, unit vectors orthogonal to the baseline.
         p_WP: (M, K, 3) passing points of paths past each obstacle in each direction [m]. They have
             the requested clearance from the obstacle, and are displaced from the baseline along
@@ -96,9 +100,10 @@ The argument is the scene, the result (M, K) costs in [0, 1], of which 1 forbids
 JointMargins = Callable[[FloatArray], FloatArray]
 """Function that computes the joint margins along N paths of the tool point.
 
-The argument contains P corners of each path, (N, P, 3) [m]. The result (N, P) [rad] contains for
-each corner the minimum distance of the joints from their limits on the leg to this corner. It is
--inf from the first corner on that the arm cannot reach."""
+A joint margin is the minimum distance of the joints from their limits. The argument contains P
+corners of each path in the world frame, (N, P, 3) [m]. The result (N, P) [rad] contains for each
+corner the joint margin on the leg (straight segment) to this corner, and for the first corner the
+joint margin there. It is -inf from the first corner on that the arm cannot reach."""
 
 
 def ring_scene(
@@ -114,7 +119,8 @@ def ring_scene(
 ) -> RingScene:
     """Computes the input of the cost rings: directions, passing points and joint margins.
 
-    The passing point of obstacle i along the direction omega is
+    A joint margin is the minimum distance of the joints from their limits on a path. The passing
+    point of obstacle i along the direction omega is
 
         p_P = b + omega max(0, h_i(omega) + Delta - omega . (b - c_i)),
 
@@ -127,11 +133,11 @@ def ring_scene(
         p_WG: (3,) goal in the world frame [m].
         R_WL: (3, 3) local frame, x from start to goal, z up.
         ellipsoids: ellipsoids of M obstacles, dilated by the tool.
-        table: support plane, or None.
+        table: support plane; None: unknown.
         requested_clearance: requested clearance Delta [m].
         n_directions: number K of directions, evenly spaced around the baseline.
-        joint_margins: function that computes the joint margins of the arm; None: the margins are
-            unknown.
+        joint_margins: function that computes the joint margins of the arm along paths; None: the
+            margins are inf (unknown).
     """
     angles: FloatArray = np.arange(n_directions, dtype=float) * (2.0 * np.pi / n_directions)
     circle_L = np.stack([np.zeros(n_directions), np.cos(angles), np.sin(angles)], axis=1)
@@ -168,10 +174,10 @@ def length_ring(scene: RingScene) -> FloatArray:
     """Computes the length ring: costs (M, K) of the path past M obstacles in K directions each.
 
     The cost is (l - l_min) / max(l_max - l_min, 0.1 L). l is the length from start via the passing
-    point to the goal, [l_min, l_max] its range over the directions, and L the distance from start
-    to goal. For an obstacle on the line from start to goal, all lengths are about equal. Without
-    the term 0.1 L, the side on which this obstacle is passed would change with each millimeter of
-    motion, in spite of the hysteresis.
+    point (beside the obstacle, with the requested clearance) to the goal, [l_min, l_max] its range
+    over the directions, and L the distance from start to goal. For an obstacle on the line from
+    start to goal, all lengths are about equal. Without the term 0.1 L, the side on which this
+    obstacle is passed would change with each millimeter of motion, in spite of the hysteresis.
     """
     length = np.linalg.norm(scene.p_WP - scene.p_WS, axis=2)
     length = length + np.linalg.norm(scene.p_WG - scene.p_WP, axis=2)
@@ -184,6 +190,9 @@ def length_ring(scene: RingScene) -> FloatArray:
 
 def table_ring(scene: RingScene, *, height: float) -> FloatArray:
     """Computes the table ring: costs (M, K), 1 for a passing point too close to the table, else 0.
+
+    A passing point is beside an obstacle in one of the directions, with the requested clearance.
+    All costs are 0 if the support plane is unknown.
 
     Args:
         scene: M obstacles and K directions in which they can be passed.
@@ -199,7 +208,7 @@ def reach_ring(scene: RingScene) -> FloatArray:
     """Computes the workspace ring: costs (M, K), 1 if the arm cannot follow the path, else 0.
 
     The path leads from the start via the passing point of one of M obstacles, in one of K
-    directions, to the goal.
+    directions, to the goal. The passing point has the requested clearance from the obstacle.
     """
     return np.isneginf(scene.joint_margin).astype(float)
 
@@ -207,8 +216,10 @@ def reach_ring(scene: RingScene) -> FloatArray:
 def joint_limits_ring(scene: RingScene) -> FloatArray:
     """Computes the joint limit ring: costs (M, K), 1 for a path near a joint limit, else 0.
 
-    A path is near a joint limit if its joint margin is below `JOINT_MARGIN` and below the joint
-    margin of the straight path from start to goal. Paths out of reach have the cost 0 here.
+    The paths lead from the start past one of M obstacles, in one of K directions, to the goal. The
+    joint margin of a path is the minimum distance of the joints from their limits. A path is near a
+    joint limit if its joint margin is below 0.1 rad (`JOINT_MARGIN`) and below that of the straight
+    path from start to goal. Paths out of reach have the cost 0 here.
     """
     is_near = scene.joint_margin < min(JOINT_MARGIN, scene.straight_margin)
     return (is_near & ~np.isneginf(scene.joint_margin)).astype(float)
@@ -221,7 +232,8 @@ _SAMPLES = 41
 def remaining_clearance(scene: RingScene) -> FloatArray:
     """Computes the clearances (M,) at which guidance leads the motion past M obstacles [m].
 
-    Each is the requested clearance, or the smaller distance of start or goal from the obstacle. It
+    Heading guidance is the coupling term that turns the motion to the selected side. Each clearance
+    is the requested one, or the distance of start or goal from the obstacle if that is smaller. It
     is 0 (no guidance) if the baseline, the line from start to goal, already has this clearance, or
     is nearest to the obstacle at one of its ends.
     """
@@ -240,9 +252,9 @@ def remaining_clearance(scene: RingScene) -> FloatArray:
 def path_length(scene: RingScene, index: IntArray) -> float:
     """Computes the length of the path from start via the selected passing points to the goal [m].
 
-    Each obstacle has one passing point on the selected side; points on the line from start to goal
-    are left out. The length is length(pi-hat) in section IV-E of Pairet et al., RA-L 2019, and
-    scales the duration of the motion.
+    Each obstacle has one passing point on the selected side, with the requested clearance; points
+    on the line from start to goal are left out. The length is length(pi-hat) in section IV-E of
+    Pairet et al., RA-L 2019, and scales the duration of the motion.
 
     Args:
         scene: M obstacles and K directions in which they can be passed.
@@ -261,17 +273,19 @@ def select_directions(
 ) -> tuple[IntArray, dict[str, FloatArray], BoolArray]:
     """Selects for each obstacle the passing direction omega_d, by the minimum total cost.
 
-    The module docstring defines the total cost. Obstacles without a passage between them form a
-    group (`overlap_groups`), which is passed on one side. The cost of a group is the mean of the
-    members' costs, and a direction forbidden for one member is forbidden for the group. Among
-    directions of equal cost the one with the lowest angle is selected.
+    Obstacles without a passage between them form a group (`overlap_groups`), which is passed on one
+    side. The total cost is the sum of the groups' costs by the rings, of the scaled length of the
+    path past all groups, and of the obstruction of the path between them; the module docstring has
+    the equation. The cost of a group is the mean of the members' costs, and a direction forbidden
+    for one member is forbidden for the group. Among directions of equal cost the one with the
+    lowest angle is selected.
 
     Args:
         scene: M obstacles and K directions in which they can be passed.
-        rings: cost rings by name.
+        rings: cost rings by name; with a ring "length", the path length is part of the cost.
         previous: (M,) index of each obstacle's direction in the last decision, -1 for new
             obstacles. A group changes its side only if this side is forbidden, or if another side
-            reduces the total cost by `_HYSTERESIS`.
+            reduces the total cost by at least 0.2 (`_HYSTERESIS`).
 
     Returns:
         Index (M,) of each obstacle's selected direction; costs (M, K) by the name of the ring; and
@@ -327,7 +341,7 @@ def support_of(ellipsoids: EllipsoidSet, directions: FloatArray) -> FloatArray:
 
     Args:
         ellipsoids: M ellipsoids.
-        directions: (M, J, 3) unit directions.
+        directions: (M, J, 3) unit directions in the world frame.
 
     Returns:
         (M, J) values of the support function h(omega) = max omega . (p - c) over the points p of
@@ -360,11 +374,13 @@ def overlap_groups(ellipsoids: EllipsoidSet, requested_clearance: float) -> IntA
 def groups_along_baseline(scene: RingScene) -> list[IntArray]:
     """Returns the obstacles in each group of `overlap_groups`, with groups from start to goal.
 
+    A group consists of obstacles without a passage between them.
+
     Args:
         scene: M obstacles, and start and goal of the motion.
 
     Returns:
-        Row numbers of the obstacles in each group.
+        For each group an array with the row numbers of its obstacles in `scene`.
     """
     numbers = overlap_groups(scene.ellipsoids, scene.requested_clearance)
     groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
@@ -403,7 +419,9 @@ def sequence_costs(
 ) -> tuple[FloatArray, FloatArray]:
     """Computes the costs of passing N groups of obstacles on K sides each, for `best_sequence`.
 
-    The passing point of a group is that of the member with the largest detour. The first group does
+    A leg is a straight path segment between the start, the passing points of consecutive groups,
+    and the goal. The passing point of a group, which has the requested clearance, is that of the
+    member whose passing point is farthest from the line from start to goal. The first group does
     not obstruct the leg from the start, and the last group does not obstruct the leg to the goal,
     because coupling terms bend the motion around them.
 
@@ -438,8 +456,9 @@ def sequence_costs(
         A leg is a straight path segment between the passing points of two consecutive groups.
 
         Args:
-            legs: costs of each leg, (beginnings, ends). The first leg begins at the start and the
-                last ends at the goal, so that they depend on one side only.
+            legs: array of costs for each leg, in which a row is a side of the group where the leg
+                begins, and a column a side of the group where it ends. The first leg begins at the
+                start (one row), and the last ends at the goal (one column).
 
         Returns:
             Costs (N, K) of single sides, and costs (N - 1, K, K) of pairs of consecutive sides.
@@ -476,8 +495,8 @@ def obstruction(
     obstruction is max(0, 1 - g), and 1 if the leg intersects the obstacle without growth.
 
     Args:
-        p_WA: (I, 3) starts of the legs [m].
-        p_WB: (J, 3) ends of the legs [m].
+        p_WA: (I, 3) starts of the legs in the world frame [m].
+        p_WB: (J, 3) ends of the legs in the world frame [m]; each start is combined with each end.
         ellipsoids: ellipsoids of M obstacles.
         counts: (M,) whether an obstacle is considered.
         clearance: distance by which the obstacles are grown [m].
