@@ -7,10 +7,11 @@ Out: coupling_parameters `CouplingParameters` (alpha [1/T] with the demonstrated
      psi [rad], kappa [1/m^2]).
 
 Systems
-    RegressorChain  stateless; three chained networks map the section of each obstacle by the
-                    plane of motion to the parameters of a coupling term
+    RegressorChain  stateless; three networks in sequence map the section of each obstacle to the
+                    parameters of a coupling term; the plane of the section is spanned by the
+                    tool's velocity and the direction from the tool to the obstacle's center
 
-`planning.MotionVerifier` verifies the motion of these parameters by roll-out (simulation).
+`planning.MotionVerifier` verifies the motion with these parameters by roll-out (simulation).
 
 Method
     The regressor chain is that of E. Pairet et al., IEEE RA-L 4(4), 2019. The coupling term is

@@ -10,10 +10,11 @@ from drake_oa.common.config import BLOCK
 
 @dataclass(config=BLOCK)
 class Paper:
-    """Configuration of the method of Pairet et al., RA-L 2019, with coupling parameters by a chain.
+    """Configuration of the method of Pairet et al., RA-L 2019, with a regressor chain.
 
-    The regressor chain consists of three networks. The fields select between interpretations of the
-    paper. The field `policy.fade` also selects an interpretation.
+    The regressor chain consists of three networks that compute the parameters of coupling terms.
+    The fields select between interpretations of the paper. So does the field `fade` of the block
+    `policy`, the distance from the goal within which the coupling terms fade to zero.
     """
 
     weights: str = "package://drake_oa/weights/paper_chain_running.safetensors"
@@ -49,8 +50,9 @@ class Verified:
     """Number of iterations of the search after the first feasible motion [-]. Raising it gives
     shorter motions."""
     slack: float = Field(default=5e-4, ge=0.0, le=0.1)
-    """Maximum clearance shortfall of a feasible motion, and reduction of the clearance that is
-    achievable at start and goal [m]. Raising it accepts motions closer to the obstacles."""
+    """Maximum clearance shortfall of a feasible motion, also subtracted from the distances of start
+    and goal to obstacles, which limit the required clearance [m]. Raising it accepts motions closer
+    to the obstacles."""
     tolerance: float = Field(default=6e-4, ge=0.0, le=0.1)
     """Maximum distance from the goal at the end of a feasible motion [m]. Raising it accepts
     motions that end farther away."""
@@ -62,12 +64,15 @@ class Verified:
     cost that forbids the side; as additional path length over the distance from start to goal [-].
     Raising it accepts longer detours to avoid such sides."""
     compute_budget: float = Field(default=0.028, ge=0.0, le=100.0)
-    """Maximum compute latency of one search while the robot or an obstacle moves [s], estimated by
-    the model of `drake_oa.common.latency`; a longer search continues with the next observation.
-    Raising it gives later and better decisions; keep it below the frame period of the camera."""
+    """Maximum compute latency of one search after the motion has begun [s], estimated from the
+    counted work by the model of `drake_oa.common.latency`; the next search continues from the best
+    candidates. Raising it gives later and better decisions; keep it below the frame period of the
+    camera."""
     configurations: int = Field(default=20_000, ge=0, le=10_000_000)
-    """Maximum number of configurations of the arm that the joint-space planner checks if the search
-    finds no feasible motion [-]. Raising it finds more paths and requires more time."""
+    """Maximum number of configurations of the arm that one run of the joint-space planner checks
+    [-]. If the search finds no feasible motion, the planner runs at decreasing fractions of the
+    requested clearance. Raising the number finds more paths and requires more time."""
     last_configurations: int = Field(default=200_000, ge=0, le=10_000_000)
-    """Maximum number of configurations of the arm that the joint-space planner checks at the
-    reduced clearance, its last resort [-]. Raising it finds more paths and requires more time."""
+    """Maximum number of configurations of the arm that one run of the joint-space planner checks in
+    its last attempts, at 0.2 times the requested clearance [-]. Raising it finds more paths and
+    requires more time."""

@@ -7,10 +7,11 @@ Three small networks are evaluated in sequence (section IV-C of Pairet et al., R
     Y3: (h, kappa, psi) -> alpha
 
 The input is h = (lambda1', lambda2', Delta), with the half-extents lambda' of the obstacle's
-section by the plane of motion, and the requested clearance Delta. A chain of two inputs omits
+section by the plane of motion, and the requested clearance Delta. This plane is spanned by the
+velocity and the direction from the tool point to the obstacle's center. A chain of two inputs omits
 Delta. The outputs are the parameters of the turning rate
 alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2). theta is the angle between heading and
-obstacle, and d the distance from the center of the obstacle.
+direction to the obstacle's center, and d the distance of the tool point from this center.
 
 The coupling term is scale invariant: with lengths divided by the baseline L (distance from start to
 goal), h/L -> (kappa L^2, psi, alpha) is one map for every L. The unit of alpha is 1/T, with the
@@ -36,14 +37,17 @@ _ROUNDING = 1e-12
 Inputs are lengths divided by the distance from start to goal."""
 
 _NARROWEST = 1e-3
-"""Lower bound of a regressor chain's output psi, the width of the response to the heading [rad]."""
+"""Lower bound of a regressor chain's output psi, the angular width of a coupling term [rad]."""
 
 _PARALLEL = 1e-6
 """Sine of the angle between two directions below which they do not span a plane [-]."""
 
 
 TARGETS = ("kappa", "psi", "alpha")
-"""Names of the coupling parameters in the order in which a regressor chain computes them."""
+"""Names of the coupling parameters in the order in which a regressor chain computes them.
+
+They are the decay with the squared distance, the angular width, and the strength of a coupling term
+(turning rate)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +91,10 @@ def network_of(path: Path, arrays: Mapping[str, Any], name: str, n_inputs: int) 
 
     Args:
         path: weights file, named in errors.
-        arrays: arrays of the file: <name>_W1, <name>_b1, ..., and <name>_<field> for the scaling.
-        name: name of the network.
+        arrays: arrays of the file: weights <name>_W1 and biases <name>_b1 of the first layer, ...,
+            and for the scaling <name>_in_offset, <name>_in_gain, <name>_out_offset and
+            <name>_out_gain.
+        name: name of the network: "kappa", "psi" or "alpha".
         n_inputs: number of inputs of the network.
 
     Raises:
@@ -115,11 +121,12 @@ class ChainWeights(Frozen):
     section and requested clearance, divided by the distance L from start to goal.
 
     Attributes:
-        networks: networks by the names in `TARGETS`.
-        lower: (d,) minima of the inputs in the training set.
-        upper: (d,) maxima of the inputs in the training set.
-        metadata: units, ranges, recipe, configuration, seed, normalized mean squared errors,
-            version, date and source digest of the training.
+        networks: networks by their outputs "kappa", "psi" and "alpha".
+        lower: (d,) minima of the inputs in the training set [-].
+        upper: (d,) maxima of the inputs in the training set [-].
+        metadata: units, ranges, recipe (name of the training procedure), configuration, seed,
+            normalized mean squared errors, version, date and source digest (hash of the source
+            files) of the training.
     """
 
     networks: Mapping[str, Network]
@@ -131,11 +138,13 @@ class ChainWeights(Frozen):
         """Evaluates the three networks in sequence, without clipping inputs to the trained range.
 
         Args:
-            inputs: (N, d) half-extents lambda1'/L, lambda2'/L of the obstacle's section and, if
-                d = 3, requested clearance Delta/L, divided by the distance L from start to goal.
+            inputs: (N, d) half-extents lambda1'/L, lambda2'/L of the obstacle's section along and
+                across the line from start to goal and, if d = 3, requested clearance Delta/L,
+                divided by the distance L from start to goal [-].
 
         Returns:
-            (N, 3) coupling parameters: alpha in units of 1/T, psi [rad], kappa L^2 [-].
+            (N, 3) coupling parameters: alpha in units of 1/T with the demonstrated duration T,
+            psi [rad], kappa L^2 [-].
         """
         columns = inputs
         for target in TARGETS:
@@ -151,13 +160,14 @@ class ChainWeights(Frozen):
         is False in the result.
 
         Args:
-            extents: (M, 2) half-extents lambda' of the sections along and across the line from
-                start to goal [m], computed by `section_extents`.
+            extents: (M, 2) half-extents lambda' of the obstacles' sections by the plane of motion,
+                along and across the line from start to goal [m].
             clearance: requested clearance Delta [m]; no effect on a chain of two inputs.
             baseline: distance L from start to goal [m].
 
         Returns:
-            Coupling parameters with one row per obstacle.
+            Coupling parameters with one row per obstacle: alpha in units of 1/T with the
+            demonstrated duration T, psi [rad] and kappa [1/m^2].
         """
         query = np.column_stack([extents, np.full(len(extents), clearance)]) / baseline
         query = query[:, : len(self.lower)]
@@ -172,13 +182,15 @@ def plane_axes(baseline: FloatArray, to_O: FloatArray, normal: FloatArray) -> Fl
     """Computes the axes along which the half-extents of M planar obstacle sections are measured.
 
     Args:
-        baseline: (3,) unit vector from start to goal, the baseline.
-        to_O: (M, 3) vectors from the tool point to the centers of the obstacles, in the planes.
-        normal: (M, 3) unit normals of the planes.
+        baseline: (3,) unit vector from start to goal in the world frame, the baseline.
+        to_O: (M, 3) vectors from the tool point to the centers of the obstacles, in the planes and
+            the world frame; only their directions matter.
+        normal: (M, 3) unit normals of the planes in the world frame.
 
     Returns:
-        (M, 2, 3) two orthogonal unit vectors in each plane; the first has the direction of the
-        projection of the baseline.
+        (M, 2, 3) two orthogonal unit vectors in each plane, in the world frame. The first has the
+        direction of the projection of the baseline onto the plane, or of the obstacle if the plane
+        is orthogonal to the baseline.
     """
     along = baseline - (normal @ baseline)[:, None] * normal
     # In a plane orthogonal to the baseline, the direction to the obstacle replaces the projection.
@@ -195,8 +207,9 @@ def section_extents(
 
     Each obstacle has a plane of motion (P-plane), which is spanned by ``p_WO - p_WE`` and the
     scaled velocity ``z_W``; if these are parallel, by the x and z axes of the local frame. Let
-    U = [u1, u2] be the axes of `plane_axes` in this plane, and ``A = R diag(1/l^2) R^T`` the matrix
-    of the ellipsoid. The section is ``{a : a^T S a <= 1}`` with ``S = U^T A U``. The half-extents
+    U = [u1, u2] be orthogonal unit vectors in this plane, u1 along the projection of the baseline
+    (`plane_axes`), and ``A = R diag(1/l^2) R^T`` the matrix of an ellipsoid with rotation R and
+    semi-axes l. The section is ``{a : a^T S a <= 1}`` with ``S = U^T A U``. The half-extents
     are the values of the support function ``sqrt(u^T S^-1 u)`` along u1 and u2. Unlike the
     principal semi-axes of the section, they vary continuously when an obstacle rotates.
 
@@ -204,7 +217,7 @@ def section_extents(
         p_WE: (3,) position of the tool point in the world frame [m].
         z_W: (3,) scaled velocity of the tool point, the derivative of the position by normalized
             time, in the world frame [m].
-        R_WL: (3, 3) local frame, x from start to goal, z up.
+        R_WL: (3, 3) orientation of the local frame L in the world, x from start to goal, z up.
         shapes: M ellipsoids of the obstacles.
 
     Returns:
@@ -223,6 +236,10 @@ def section_extents(
 
 def save_chain(chain: ChainWeights, path: str | Path) -> None:
     """Writes the networks and metadata of a regressor chain to a .safetensors file.
+
+    Args:
+        chain: regressor chain with the trained range of its inputs.
+        path: file to replace.
 
     Raises:
         ValueError: for another file name extension than .safetensors.

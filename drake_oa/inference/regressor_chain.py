@@ -24,16 +24,18 @@ class RegressorChain(LeafSystem):
       - coupling_parameters
 
     - ellipsoids_W: abstract `EllipsoidSet`, M obstacles dilated by the tool; may be empty.
-    - policy_state: abstract `PolicyState` of the movement primitive. Position, velocity and the
-      center of an obstacle define a plane of motion. The section of the obstacle by this plane is
-      the input of the chain.
-    - coupling_parameters: abstract `CouplingParameters` with M rows: alpha, psi and kappa of
-      coupling terms about the centers of the obstacles, and whether the input of the chain was in
-      the trained range.
+    - policy_state: abstract `PolicyState` of the movement primitive. Position and velocity of the
+      tool point and the center of an obstacle define a plane. The half-extents of the obstacle's
+      section by this plane, and the requested clearance if the chain has three inputs, divided by
+      the distance from start to goal, are the input of the chain.
+    - coupling_parameters: abstract `CouplingParameters` with M rows: strength alpha [1/T, with the
+      demonstrated duration T], angular width psi [rad] and decay kappa [1/m^2] of coupling terms
+      (turning rates away from the centers of the obstacles), and whether the input of the chain was
+      in the trained range.
 
     The networks are those of Pairet et al., RA-L 2019 (`drake_oa.inference.regressor`). The system
     has no state. The output is cached until an input changes. While start and goal coincide, as
-    before the first motion, alpha is 0 and no row is in range.
+    before the first motion, alpha is 0 (no coupling) and no row is in the trained range.
     """
 
     def __init__(self, weights: ChainWeights, requested_clearance: float) -> None:

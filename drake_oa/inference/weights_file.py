@@ -44,10 +44,10 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]
 
     Args:
         path: .safetensors file written by `write_weights`.
-        kind: required name and version of the format.
+        kind: required name and version of the format of arrays and metadata.
 
     Returns:
-        Arrays by name, and metadata.
+        Arrays by name, and metadata without the format.
 
     Raises:
         FileNotFoundError: if the file does not exist.
