@@ -1,9 +1,12 @@
 """Policy layer: a dynamic movement primitive (DMP) whose coupling terms steer around obstacles.
 
-In: goal (3,) [m]; optional `EllipsoidSet`, `CouplingParameters`, `Route`, and from `MotionGuard`
-a speed scale and an evasion velocity (3,) [m/s]. Out: desired position, velocity and acceleration
-(3,) of the tool point E in the world, the phase k and `PolicyState`; for the orientation the
-quaternion of R_WE, the angular velocity w_WE [rad/s] and the angular acceleration [rad/s^2].
+In: goal (3,) in the world frame [m]; optional `EllipsoidSet` (obstacles), `CouplingParameters`
+(parameters of the coupling terms), `Route` (side on which each obstacle is passed), and from
+`MotionGuard`, the system that slows the motion and evades moving obstacles, a speed scale in [0, 1]
+and an evasion velocity (3,) [m/s]. Out: desired position [m], velocity [m/s] and acceleration
+[m/s^2] (3,) of the tool point E in the world, the phase k and `PolicyState` (position, scaled
+velocity and phase of the motion); for the orientation the quaternion of R_WE, the angular velocity
+w_WE [rad/s] and the angular acceleration [rad/s^2].
 
 Systems, updated each `policy.period` (125 Hz by default):
 
@@ -18,9 +21,10 @@ are
 
 These are the dynamic movement primitives of Ijspeert et al. (2013) in the form of Pairet et al.
 (RA-L 2019). f is the forcing term, learned from a demonstration. The coupling term
-C = Omega x z avoids obstacles: it rotates z and leaves its length unchanged. A step
-consists of half a step of the spring, the rotation, and the other half step of the spring. Each of
-these three parts is integrated exactly (docs/theory/integration.md).
+C = Omega x z avoids obstacles: it rotates z at the rate Omega and leaves its length unchanged. A
+step consists of half a step of the spring (the first two equations without C), the rotation, and
+the other half step of the spring. Each of these three parts is integrated exactly
+(docs/theory/integration.md).
 
 Modules:
 

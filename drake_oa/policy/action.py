@@ -40,11 +40,13 @@ class Segment(Frozen):
     """Motion of the tool point between two consecutive steps of the policy.
 
     Attributes:
-        state: state of the policy at the beginning of the segment.
+        state: state of the policy (position, scaled velocity, phase, hold) at the beginning of the
+            segment.
         end: state of the policy at the end of the segment.
         evasion_velocity: (2, 3) evasion velocity at the beginning and at the end of the segment, in
             the world frame [m/s]. It adds to the velocity of the movement primitive.
-        primitive: movement primitive of the motion; None: `take_step` uses its argument `dmp`.
+        primitive: movement primitive of the motion; None: that of the constructor of
+            `DmpIntegrator`.
     """
 
     state: PolicyState
@@ -54,7 +56,7 @@ class Segment(Frozen):
 
     @property
     def velocity(self) -> FloatArray:
-        """Velocities (2, 3) of the tool point at both ends of the segment, with evasion [m/s]."""
+        """Velocities (2, 3) v_WE at both ends of the segment, with the evasion velocity [m/s]."""
         scaled = (state.speed * state.z_W for state in (self.state, self.end))
         return np.array([*scaled]) + self.evasion_velocity
 
@@ -69,7 +71,7 @@ class Segment(Frozen):
             time: time of the simulation [s].
 
         Returns:
-            (3, 3) rows p_WE [m], v_WE [m/s] and a_WE [m/s^2].
+            (3, 3) rows p_WE [m], v_WE [m/s] and a_WE [m/s^2] of the tool point in the world frame.
         """
         (v, v_end), begin, end = self.velocity, self.state, self.end
         length = end.stamp - begin.stamp
@@ -87,8 +89,9 @@ def make_segment(state: PolicyState, primitive: Dmp | None = None) -> Segment:
     """Returns a segment of zero length, which begins and ends at the same state of the policy.
 
     Args:
-        state: state of the policy.
-        primitive: movement primitive of the motion; None: `take_step` uses its argument `dmp`.
+        state: state of the policy (position, scaled velocity, phase, hold).
+        primitive: movement primitive of the motion; None: that of the constructor of
+            `DmpIntegrator`.
     """
     return Segment(state, state, primitive=primitive)
 
@@ -109,20 +112,21 @@ def take_step(
 
     Args:
         before: motion in the previous step, from the end of which the motion continues.
-        p_WG: (3,) current goal in the world frame [m]. While it is not finite, the motion is held,
-            and the previous goal remains.
-        inputs: obstacles and coupling terms (turning rates that avoid them).
+        p_WG: (3,) current goal in the world frame [m]. While it is not finite, the motion is held
+            (stopped on its path), and the previous goal remains.
+        inputs: obstacles, coupling terms (turning rates that avoid them), and a hold or a temporal
+            scaling that other layers request.
         time: current time [s].
         step: length of the step [s].
         dmp: movement primitive of three dimensions, used if the segment has none.
         config: constants of coupling terms and holds.
         speed_scale: requested fraction of the full speed ds/dt = 1 / (tau T), with normalized time
-            s, demonstrated duration T and temporal scaling tau. The speed changes toward this
-            fraction at the rate given by `config.hold_time`; a motion at its start begins at most
-            at this fraction. Values are clipped to [0, 1]; NaN counts as 0.
-        evasion_velocity: (3,) velocity in the world frame at the end of the step [m/s], which
-            displaces p_WE in addition to the primitive, without effect on scaled velocity and
-            phase. It is linear in time within the step. None or not finite: 0.
+            s, demonstrated duration T and temporal scaling tau. ds/dt changes toward this fraction
+            by at most 1 / T in the time `config.hold_time`; a motion at its start begins at most at
+            this fraction of 1 / T. Values are clipped to [0, 1]; NaN counts as 0.
+        evasion_velocity: (3,) velocity in the world frame at the end of the step [m/s], added to
+            that of the primitive to evade moving obstacles. It displaces p_WE, without effect on
+            scaled velocity and phase, and is linear in time within the step. None or not finite: 0.
 
     Returns:
         Segment of the motion in this step.
@@ -182,14 +186,16 @@ def restart(
 ) -> Segment:
     """Restarts a motion of the tool point that is at rest, with its current position as the start.
 
-    The phase becomes 1 and the goal `p_WG`. The segment is returned unchanged if the motion has
-    left its start and moves, is at the goal, or is still at its start with the same primitive.
+    The phase becomes 1 and the goal `p_WG`. The segment is returned unchanged in three cases: the
+    motion has left its start and moves, it is at the goal, or it is still at its start and has the
+    same primitive.
 
     Args:
-        before: current segment.
+        before: motion in the previous step, at the end of which the motion restarts.
         p_WG: (3,) goal in the world frame [m].
         time: current time [s].
-        primitive: movement primitive of the new motion; None: `take_step` uses its argument `dmp`.
+        primitive: movement primitive of the new motion; None: that of the constructor of
+            `DmpIntegrator`.
 
     Returns:
         Segment of zero length at the start of the new motion, or `before`.
@@ -215,7 +221,7 @@ def restart(
 
 @dataclass(frozen=True, eq=False)
 class CouplingInputs(Frozen):
-    """Obstacles, coupling terms and decisions of other layers, combined from the policy's inputs.
+    """Obstacles, coupling terms, hold and temporal scaling, combined from the policy's input ports.
 
     Coupling terms turn the motion away from obstacles. The policy uses the same object in each step
     until its inputs change.
@@ -223,11 +229,12 @@ class CouplingInputs(Frozen):
     Attributes:
         ellipsoids: ellipsoids of the perceived obstacles; None: there is no perception.
         obstacles: obstacles with their coupling terms, as arrays for the compiled kernels.
-        hold: reason for which the layers of coupling parameters and route hold (stop) the motion.
+        hold: reason for holding (stopping) the motion that the message with the coupling parameters
+            or the route contains; NONE: neither holds the motion.
         note: explanation of `hold`.
         tau: requested temporal scaling of the demonstrated duration; 0: none is requested.
-        path_length: length of the path past all obstacles on their selected sides [m]; None: no
-            sides are selected.
+        path_length: length of the path past all obstacles on their selected sides [m], which scales
+            the duration if `tau` is 0; None: no sides are selected.
         verified: whether roll-outs (simulations) have verified the motion; a tool or goal inside an
             ellipsoid then does not hold the motion.
         restart: whether a motion at rest restarts from its current position.
@@ -249,16 +256,17 @@ class CouplingInputs(Frozen):
         """Combines the values of three input ports of the policy into one object.
 
         Args:
-            ellipsoids: M obstacles; None: there is no perception, and only verified coupling terms,
-                which have their own centers, act.
-            coupling: parameters of M coupling terms; None: no coupling terms. Normals, temporal
-                scaling and hold of these parameters take precedence over those of the route.
-            route: sides on which the M obstacles are passed, toward which guidance turns the motion
-                (`drake_oa.policy.guidance`); None: no guidance.
+            ellipsoids: M obstacles; None: there is no perception. Then only coupling terms act that
+                roll-outs (simulations) have verified, because these have their own centers.
+            coupling: parameters of M coupling terms; None: no coupling terms. Their normals of the
+                planes of rotation, temporal scaling and hold take precedence over those of the
+                route.
+            route: sides on which the M obstacles are passed. Guidance, a coupling term, turns the
+                motion toward these sides. None: no guidance.
 
         Raises:
-            ValueError: if coupling or route do not have one row per ellipsoid, or a
-                parameter is out of range.
+            ValueError: if coupling or route do not have one row per ellipsoid, alpha or kappa is
+                negative, psi is not positive, or a parameter is not finite.
         """
         combined = CouplingInputs(ellipsoids)
         is_verified = coupling is not None and coupling.verified
@@ -289,14 +297,14 @@ class CouplingInputs(Frozen):
         The motion is held in the following cases. The first that applies determines the reason.
 
         - There is no observation of the obstacles yet, or the last one is older than `max_age`.
-        - The layer of coupling parameters or the route layer holds the motion, for example because
+        - The message with the coupling parameters or the route contains a hold, for example because
           no path past the obstacles is known.
         - The tool or the goal is inside an ellipsoid, and roll-outs have not verified the motion.
 
         Args:
-            state: state of the policy.
+            state: state of the policy, whose tool position and goal are tested.
             time: current time [s].
-            max_age: maximum age of the last observation [s].
+            max_age: maximum age of the last observation of the obstacles [s].
         """
         obstacles = self.ellipsoids
         if obstacles is None:
@@ -330,8 +338,8 @@ def _coupled(shapes: EllipsoidSet, coupling: CouplingParameters, route: Route | 
         route: sides on which the obstacles are passed; None: no guidance toward a side.
 
     Raises:
-        ValueError: if coupling or route do not have one row per ellipsoid, or a parameter is out of
-            range.
+        ValueError: if coupling or route do not have one row per ellipsoid, alpha or kappa is
+            negative, psi is not positive, or a parameter is not finite.
     """
     count = len(coupling) if coupling.verified else len(shapes)
     sizes = {"coupling_parameters": len(coupling), "normal_W": len(coupling.normal_W) or count}

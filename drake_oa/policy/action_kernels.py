@@ -50,10 +50,14 @@ def spring_flow(alpha_x: float, beta_x: float, step: float) -> Flow:
 class MotionSetup(NamedTuple):
     """Constants of the integration of a movement primitive over T steps of equal length.
 
+    Positions are those of the tool point in the world frame. In a primitive of the orientation,
+    they are rotation vectors [rad].
+
     Attributes:
         rest: (T, 3) equilibrium of the spring in the middle of each step, displaced from the goal
             by the forcing term [m].
-        flow: coefficients of the spring over half a step, computed by `spring_flow`.
+        flow: coefficients a, b, c, d of half a step of the spring, e <- a e + b z, z <- c e + d z,
+            with the position e relative to the equilibrium and the scaled velocity z.
         ds: length of a step in normalized time.
         p_WG: (3,) goal [m].
         x_L: (3,) vector from start to goal [m].
@@ -61,7 +65,8 @@ class MotionSetup(NamedTuple):
             from obstacles, fade to zero [m]; 0: no fading.
         every: number of steps between the rows of the output path.
         min_steps: minimum number of steps before the integration may end at the goal.
-        tolerance: distance from the goal at which a slow motion ends [m].
+        tolerance: distance from the goal below which the integration ends, if the scaled velocity
+            is below 20 times this value [m]; 0: it never ends early for this reason.
     """
 
     rest: FloatArray
@@ -80,10 +85,11 @@ def spring(p: Triple, z: Triple, rest: Triple, flow: Flow) -> tuple[Triple, Trip
     """Computes position and scaled velocity after a step of a movement primitive's spring alone.
 
     Args:
-        p: position before the step [m].
+        p: position p_WE before the step [m].
         z: scaled velocity before the step, the derivative of the position by normalized time [m].
-        rest: equilibrium of the spring [m].
-        flow: coefficients of the step, computed by `spring_flow`.
+        rest: equilibrium of the spring in the world frame [m].
+        flow: coefficients a, b, c, d of the step, e <- a e + b z and z <- c e + d z, with
+            e = p - rest.
 
     Returns:
         Position [m] and scaled velocity [m] after the step.
@@ -112,13 +118,17 @@ def advance(
 
     Args:
         setup: constants of the motion.
-        obstacles: obstacles past which guidance headings, updated in each step, turn the motion.
-        coupling: (K, 12) coupling terms without fading; `coupling.turn_step` describes the columns.
+        obstacles: obstacles from which the guidance headings of the coupling terms, directions past
+            the obstacles on their selected sides, are computed in each step; none: the headings in
+            `coupling` remain.
+        coupling: (K, 12) coupling terms without fading, with the columns obstacle's center p_WO
+            (3), alpha, psi, kappa, guidance heading (3) and normal of the plane of rotation (3).
         longest: maximum path length [m]; the integration ends as soon as the length so far plus
             the distance from the goal exceeds it.
-        path: (T // every + 1, 3) positions p_WE [m]; the first row is input, the others output.
-        velocity: (T // every + 1, 3) scaled velocities z_W [m]; the first row is input, the others
-            output.
+        path: (T // every + 1, 3) positions p_WE, one for each `every` steps [m]; the first row is
+            input, the others output.
+        velocity: (T // every + 1, 3) scaled velocities z_W at these positions [m]; the first row is
+            input, the others output.
 
     Returns:
         Length of the path [m], distance of its end from the goal [m], and number of steps.

@@ -8,9 +8,11 @@ the quintic spline with evenly spaced knots whose coefficients c minimize
 
     mean_d sum_i ds_di |x_di - sum_m c_m B_m(s_di)|^2 + lambda sum_m |third difference of c at m|^2
 
-(P. H. C. Eilers and B. D. Marx, Statistical Science 11(2), 1996). The first three and the last
-three coefficients equal the mean ends of the recordings. The motion thus starts and ends at rest,
-as a movement primitive does. ds_di is the sampling interval of sample i: all recordings have equal
+(P. H. C. Eilers and B. D. Marx, Statistical Science 11(2), 1996). x_di is sample i of recording d
+at s_di, mean_d the mean over the recordings, B_m the quintic B-spline with coefficient c_m, and
+lambda the weight of the penalty. The first three coefficients equal the mean first sample of the
+recordings, and the last three the mean last sample. The motion thus starts and ends at rest, as a
+movement primitive does. ds_di is the sampling interval of sample i: all recordings have equal
 weight, whatever their number of samples. The forcing term of a primitive is linear in the motion,
 so fitting it to the mean equals fitting it to all recordings.
 """
@@ -41,7 +43,8 @@ POINTS = 201
 SPARSE = 100
 """Number of samples below which a demonstration counts as a list of waypoints.
 
-Waypoints are interpolated exactly; longer recordings are smoothed by the mean spline."""
+Before the mean spline is fitted, a spline through the waypoints is sampled at `POINTS` times, so
+that there are samples between the waypoints. Longer recordings enter the fit as they are."""
 _SPANS_PER_BASIS = 0.4
 """Number of polynomial pieces of the mean spline per basis function of the movement primitive [-].
 
@@ -54,11 +57,13 @@ their samples."""
 _SHORT = 0.05
 """Minimum ratio of the distance from start to end of a recorded path to the path's extent [-].
 
-Paths with a smaller ratio are refused, because a movement primitive is scaled by this distance."""
+The extent is the largest edge of the path's bounding box along the world's axes. Paths with a
+smaller ratio are refused, because a movement primitive is scaled by this distance."""
 _UNLIKE = math.pi / 2.0
 """Maximum rotation between the orientations of a recording and of the mean of recordings [rad].
 
-Recordings with larger rotations are refused, as they probably rotate in different directions."""
+They are compared at the start, in the middle and at the end. Recordings with larger rotations are
+refused, as they probably rotate in different directions."""
 
 
 def average_paths(
@@ -73,12 +78,13 @@ def average_paths(
             mean; more preserve finer details of the recordings.
 
     Returns:
-        Path (POINTS, 3) [m], at rest at both ends, and times (POINTS,) from 0 to the mean
-        duration [s].
+        Path (POINTS, 3) in the world frame [m], at rest at both ends, and times (POINTS,) from 0 to
+        the mean duration [s]; POINTS is 201.
 
     Raises:
-        ValueError: for a path that `dmp.imitate` refuses; or if the distance from start to end of a
-            path with at least `SPARSE` samples is at most a twentieth of its extent.
+        ValueError: for fewer than two samples, values that are not finite, times that do not
+            increase, a path that ends where it starts, or a path of at least 100 samples whose
+            distance from start to end is at most a twentieth of its extent.
     """
     local, ends, times = [], [], []
     for positions, t_d in zip(paths, stamps, strict=True):
@@ -105,15 +111,16 @@ def average_orientations(
             and any nonzero length, or rotation matrices (T_d, 3, 3).
         stamps: for each recording, times (T_d,) [s], increasing.
         n_basis: number of basis functions of the movement primitive that will be fitted to the
-            mean.
+            mean; more preserve finer details of the recordings.
 
     Returns:
         Orientations R_WE (POINTS, 3, 3), at rest at both ends, and times (POINTS,) from 0 to the
-        mean duration [s].
+        mean duration [s]; POINTS is 201.
 
     Raises:
-        ValueError: for orientations or times that `checked_turn` refuses; or if a recording differs
-            from the mean by more than 90 degrees.
+        ValueError: for fewer than two samples, a sample that is no rotation, 180 degrees between
+            two consecutive samples, or times that do not increase; or if a recording differs from
+            the mean by more than 90 degrees at its start, middle or end.
     """
     checked = [checked_turn(*pair) for pair in zip(orientations, stamps, strict=True)]
     rows = [int(np.searchsorted(t, 0.5 * (t[0] + t[-1]))) for _, t in checked]
@@ -139,15 +146,18 @@ def _regressed(
 ) -> tuple[FloatArray, FloatArray]:
     """Computes the mean of several recordings as a penalized spline fitted to all their samples.
 
-    The spline starts and ends at rest, at the mean ends of the recordings.
+    The spline starts at rest at the mean first sample of the recordings, and ends at rest at the
+    mean last sample.
 
     Args:
-        values: for each recording d, values (T_d, D) of D quantities.
+        values: for each recording d, samples (T_d, D) of D quantities: scaled positions [-], or
+            rotation vectors [rad].
         stamps: for each recording, times (T_d,) [s], increasing.
         n_basis: number of basis functions of the movement primitive, which determines the knots.
 
     Returns:
-        Samples (POINTS, D) of the spline, and times (POINTS,) from 0 to the mean duration [s].
+        Samples (POINTS, D) of the spline, and times (POINTS,) from 0 to the mean duration [s];
+        POINTS is 201.
     """
     at = np.linspace(0.0, 1.0, POINTS)
     times, parts, shares = [], [], []

@@ -13,8 +13,9 @@ normal of the P-plane: a positive rotation about it turns from the center of the
 side on which the obstacle is passed.
 
 The rotation in one step is derived in docs/theory/integration.md. The kernels pass vectors
-as triples, so that they do not allocate memory and can be inlined. In a step each coupling term has
-an axis, the exact rotation angle as if the term acted alone, and its initial rate times the step.
+as triples, so that they do not allocate memory and can be inlined. A kernel describes the effect of
+a coupling term in a step by the axis of its rotation, the exact rotation angle as if the term acted
+alone, and its initial rate times the step.
 """
 
 from __future__ import annotations
@@ -30,20 +31,25 @@ PARALLEL = 1e-6
 """Sine of the angle between two directions below which they count as parallel [-].
 
 A demonstrated motion may start with a short step backward. When its velocity then passes through
-zero, the heading is rounding error, which must not determine the side of avoidance."""
+zero, its heading is only rounding error, which must not determine the side of avoidance."""
 
 ALPHA, PSI, KAPPA, HEADING, NORMAL = 3, 4, 5, 6, 9
 """Column indices in an array of coupling terms, in which a row of 12 numbers is one term.
 
-They are the columns of the parameters alpha, psi and kappa, and the first columns of guidance
-heading and normal. Columns 0 to 2 contain the center of the obstacle."""
+They are the columns of the parameters alpha (strength), psi (angular width) and kappa (decay with
+the distance), and the first of three columns of the guidance heading and of the normal of the plane
+of rotation. Columns 0 to 2 contain the center of the obstacle."""
 N_COLUMNS = 12
-"""Number of columns in an array of coupling terms (turning rates), in which a row is one term."""
+"""Number of columns in an array of coupling terms, in which a row is one term.
+
+They are the obstacle's center (3), alpha, psi, kappa, the guidance heading (3) and the normal of
+the plane of rotation (3)."""
 
 _MAX_STIFFNESS = 1e4
 """Maximum ratio of a coupling term's initial rate times step to its exact rotation in a step [-].
 
-Larger ratios would make the linear system for the joint rotation of all terms ill-conditioned."""
+Larger ratios are reduced to this value. They would make the linear system for the rotation by all
+terms together ill-conditioned."""
 _NEGLIGIBLE = 1e-15
 """Rotation of the motion in a step below which an avoidance term is skipped [rad]."""
 
@@ -66,12 +72,12 @@ def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> Flo
 
     Args:
         theta: signed angle from the direction of the obstacle's center to the heading [rad].
-        gamma: strength [1 per time].
+        gamma: strength [1/s, or 1 per normalized time].
         beta: decay with the angle [1/rad].
 
     Returns:
-        Turning rate [rad per time], positive away from the obstacle, in the broadcast shape of the
-        arguments.
+        Turning rate [rad times the unit of gamma], positive away from the obstacle, in the
+        broadcast shape of the arguments.
     """
     return gamma * theta * np.exp(-beta * np.abs(theta))
 
@@ -88,13 +94,13 @@ def dead_zone_free_rate(
     Args:
         theta: signed angle from the direction of the obstacle's center to the heading [rad].
         d: distance to the obstacle's center [m].
-        alpha: strength [rad per time].
+        alpha: strength [rad/s, or rad per normalized time].
         psi: width of the response to the heading [rad].
         kappa: decay with the squared distance [1/m^2].
 
     Returns:
-        Turning rate [rad per time], positive away from the obstacle, in the broadcast shape of the
-        arguments.
+        Turning rate in the unit of alpha, positive away from the obstacle, in the broadcast shape
+        of the arguments.
     """
     return np.copysign(alpha, theta) * np.exp(-((theta / psi) ** 2) - kappa * d**2)
 
@@ -208,10 +214,10 @@ def avoidance_turn(rate: float, theta: float, psi: float, step: float) -> float:
 
     The avoidance term is (8) of Pairet et al., RA-L 2019, which turns the motion away from an
     obstacle. The angle theta from the direction of the obstacle's center to the heading obeys
-    d theta/ds = A exp(-theta^2 / psi^2), with A constant over the step. The result is within 2.5 %
-    of the exact solution. With u = theta / psi, c = rate step / psi and
-    g = 2 u + asinh(c / sqrt(1 + 2 u c)), the angle after the step is psi sqrt(u^2 + log(1 + c g)),
-    at most pi.
+    d theta/ds = A exp(-theta^2 / psi^2). A = alpha exp(-kappa d^2), with the distance d from this
+    center, is constant over the step. The result is within 2.5 % of the exact solution. With
+    u = theta / psi, c = rate step / psi and g = 2 u + asinh(c / sqrt(1 + 2 u c)), the angle after
+    the step is psi sqrt(u^2 + log(1 + c g)), at most pi.
 
     Args:
         rate: d theta/ds at the beginning of the step [rad per normalized time].
@@ -241,17 +247,18 @@ def avoidance_term(
     The turning rate is that of the avoidance term (8) of Pairet et al., RA-L 2019.
 
     Args:
-        o: vector from the tool point E to the center of the obstacle [m].
-        e: heading of the motion, unit vector.
-        normal: normal of the plane in which the term acts, of any length; zero: the plane of o and
-            e.
+        o: vector from the tool point E to the center of the obstacle in the world frame [m].
+        e: heading of the motion in the world frame, unit vector.
+        normal: normal of the plane of rotation in the world frame, of any length; zero: the plane
+            of o and e.
         alpha: strength [rad per normalized time].
         psi: width of the response to the heading [rad].
         kappa: decay with the squared distance [1/m^2].
         step: length of the step in normalized time.
 
     Returns:
-        Axis, exact rotation over the step [rad], and initial rate times the step [rad].
+        Axis in the world frame, exact rotation over the step [rad] (0: the term is inactive), and
+        initial rate times the step [rad].
     """
     d, size = norm(o), norm(normal)
     near = alpha * math.exp(-kappa * d * d)
@@ -282,8 +289,8 @@ def guidance_term(
     center of the obstacle.
 
     Args:
-        v: guidance heading, unit vector; zero: no guidance.
-        e: heading of the motion, unit vector.
+        v: guidance heading in the world frame, unit vector; zero: no guidance.
+        e: heading of the motion in the world frame, unit vector.
         normal: normal of the plane in which the obstacle is passed, of any length; it determines
             the axis if v is opposite to e.
         alpha: strength [rad per normalized time].
@@ -291,7 +298,8 @@ def guidance_term(
         step: length of the step in normalized time.
 
     Returns:
-        Axis, exact rotation over the step [rad], and initial rate times the step [rad].
+        Axis in the world frame, exact rotation over the step [rad] (0: the term is inactive), and
+        initial rate times the step [rad].
     """
     gain = -alpha * math.expm1(-closeness)
     if norm(v) == 0.0 or not gain > 0.0:
@@ -342,9 +350,9 @@ def turn_step(terms: FloatArray, fade: float, p: Triple, z: Triple, step: float)
             (3, unit vector; zero: no guidance) and normal of the plane of rotation (3; zero: the
             plane of heading and obstacle's center); all finite, psi > 0, alpha and kappa not
             negative.
-        fade: factor on the strengths alpha, for fading near the goal.
-        p: position p_WE [m].
-        z: scaled velocity z_W [m].
+        fade: factor in [0, 1] on the strengths alpha, which fade near the goal.
+        p: position p_WE of the tool point [m].
+        z: scaled velocity z_W, the derivative of p_WE by normalized time [m].
         step: length of the step in normalized time, at least 0.
 
     Returns:

@@ -8,7 +8,7 @@ s = t / (tau T) is 1 at the end of the motion. The equations are
     dk/ds = -alpha_k k,  k(0) = 1                        (5)
 
 with position x, scaled velocity z, goal g, phase k, forcing term f, and coupling term C. These are
-the equations of Pairet et al. (RA-L 2019) with the same numbers, and tau T in place of tau: z is in
+the equations (1), (2) and (5) of Pairet et al. (RA-L 2019) with tau T in place of tau: z is in
 meters, the velocity is z / (tau T), and the path does not depend on tau.
 
 Space. The forcing term is learned in the demonstration's local frame L and divided by its baseline
@@ -24,8 +24,9 @@ has the orientation of S. r obeys, with the phase k of the position,
 with g the rotation vector of the goal. f_0 is fitted to the minimum-jerk profile m(s), which rises
 from 0 to 1. f is fitted to the remainder r(s) - m(s) r(1) of the demonstration, in which r is
 relative to r(0). A motion to another goal is thus r(0) + m(s) (g - r(0)) + (r(s) - m(s) r(1)), also
-if start and goal have the same orientation. As for the position, a step is exact. The exponential
-map has no singularity; logarithms are computed only when a primitive is learned or a goal is set.
+if start and goal have the same orientation. As for the position, each integration step is exact for
+a forcing term that is constant in the step. The exponential map has no singularity; logarithms are
+computed only when a primitive is learned or a goal is set.
 The angular velocity in A is the left Jacobian of the exponential map times r',
 
     w_A = r' + a r x r' + b r x (r x r'),   a = (1 - cos |r|) / |r|^2,
@@ -101,7 +102,7 @@ class Dmp(Frozen):
     duration: float = 1.0
 
     def phase(self, s: ArrayLike) -> FloatArray:
-        """Computes the phase k = exp(-alpha_k s) of this primitive at normalized times s."""
+        """Computes the phase k = exp(-alpha_k s) at normalized times s, an array of any shape."""
         return np.asarray(np.exp(-self.alpha_k * np.asarray(s, dtype=float)))
 
     def forcing(self, k: FloatArray) -> FloatArray:
@@ -121,7 +122,8 @@ class Dmp(Frozen):
         Args:
             k: (T,) phases in the middle of the T steps.
             ds: length of a step in normalized time.
-            goal: (3,) goal position [m], or rotation vector of the goal orientation [rad].
+            goal: (3,) goal position in the world frame [m], or rotation vector of the goal
+                orientation [rad].
             spread: (3, D) matrix that converts the forcing term f_L, in the local frame and for a
                 baseline of 1 m, to that of the motion: f = spread f_L(k).
             more: further fields of `MotionSetup`.
@@ -225,9 +227,9 @@ def imitate(path: ArrayLike, t: ArrayLike | None = None, **constants: Any) -> Dm
     """Learns a movement primitive of the position from one demonstrated path.
 
     Args:
-        path: (T, 3) positions [m]; T at least 2.
+        path: (T, 3) positions of the tool point in the world frame [m]; T at least 2.
         t: (T,) times [s], increasing, at any spacing; None: evenly over one second.
-        constants: keyword arguments of `fit_forcing`.
+        constants: keyword arguments n_basis, alpha_x, beta_x and alpha_k of `fit_forcing`.
 
     Returns:
         Movement primitive with the duration of the demonstration.
@@ -248,7 +250,8 @@ def in_local_frame(path: FloatArray, share: float = 1e-6) -> FloatArray:
 
     Args:
         path: (T, 3) positions in the world frame [m].
-        share: minimum ratio of the baseline to the extent of the path.
+        share: minimum ratio of the baseline to the extent of the path, the largest edge of its
+            bounding box along the world's axes.
 
     Returns:
         (T, 3) scaled positions [-], zero at the end of the path.
@@ -307,8 +310,8 @@ def interpolant(s: FloatArray, x: FloatArray) -> BSpline | PchipInterpolator:
     """Returns a spline through the samples x (T, D) of a demonstration at increasing times s (T,).
 
     The degree is 5, or lower for fewer than six samples. At uneven times such a spline may
-    overshoot without limit; if it leaves the range of the samples by more than `_OVERSHOOT`, the
-    result is a monotone cubic interpolant.
+    overshoot without limit. If it leaves the range of the samples by more than a fifth of their
+    largest range, the result is a monotone cubic interpolant.
     """
     spline = make_interp_spline(s, x, k=min(5, len(x) - 1) if len(x) != 5 else 3)
     low, high = x.min(axis=0), x.max(axis=0)
@@ -327,7 +330,8 @@ a ratio to their largest range [-]."""
 def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, ...]:
     """Computes basis functions of the forcing term and the matrix that fits their weights.
 
-    They do not depend on the demonstration, and are cached because they require 15 ms.
+    They do not depend on the demonstration, and are cached because their computation requires
+    15 ms.
 
     Args:
         n_basis: number of basis functions.
@@ -356,7 +360,7 @@ def checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatAr
     """Checks a demonstrated path, and returns its positions and times as arrays.
 
     Args:
-        path: (T, D) positions; T at least 2.
+        path: (T, D) positions [m], or other quantities to be imitated; T at least 2.
         t: (T,) times [s], increasing; None: evenly over one second.
 
     Returns:
@@ -422,8 +426,9 @@ def roll_out(
         dmp: movement primitive of D dimensions.
         spread: (3, D) matrix that converts the primitive's forcing term f_L to that of the motion:
             f = spread f_L(k).
-        goal: (3,) goal position [m], or rotation vector of the goal orientation [rad].
-        p: (3,) initial position [m], or rotation vector [rad].
+        goal: (3,) goal position in the world frame [m], or rotation vector of the goal orientation
+            [rad].
+        p: (3,) initial position in the world frame [m], or rotation vector [rad].
         z: (3,) initial derivative of p by normalized time [m or rad].
         k: initial phase.
         end: normalized time from the initial state to the end.
@@ -481,9 +486,10 @@ proportional to the square of the step."""
 class OrientationDmp(Frozen):
     """Movement primitive of the tool's orientation, learned from one demonstration.
 
-    The docstring of `drake_oa.policy.dmp` has its equations, for a rotation vector r from a fixed
+    The orientation of the tool is R_WE = R_WA exp([r]), with the rotation vector r from a fixed
     frame A. A is rotated relative to the start of a motion as the middle sample of the
-    demonstration is relative to its first sample.
+    demonstration is relative to its first sample. With goal g, phase k and normalized time s, r
+    obeys dz/ds = alpha_x (beta_x (g - r) - z) + f_0(k) (g - r(0)) + f(k), dr/ds = z.
 
     Attributes:
         dmp: movement primitive of four dimensions: the forcing term f_0, which is multiplied by the
@@ -491,8 +497,8 @@ class OrientationDmp(Frozen):
         total: (3,) difference of the rotation vectors at the end and at the start of the
             demonstration; zero without a demonstration [rad]. Rotation vectors are continuous along
             the samples, so that this difference may be longer than pi.
-        first: (3, 3) orientation at the start of the demonstration.
-        last: (3, 3) orientation at the end of the demonstration.
+        first: (3, 3) orientation R_WE at the start of the demonstration.
+        last: (3, 3) orientation R_WE at the end of the demonstration.
         offset: (3,) rotation vector r(0) from the orientation in the middle of the demonstration to
             the orientation at the start; zero without a demonstration [rad].
     """
@@ -565,16 +571,17 @@ def imitate_orientation(
         orientations: (T, 4) quaternions of R_WE, w first, each of either sign and any nonzero
             length; or (T, 3, 3) rotation matrices. T at least 2.
         t: (T,) times [s], increasing; None: evenly over one second.
-        constants: keyword arguments of `fit_forcing`; alpha_k must equal that of the movement
-            primitive of the position, whose phase the orientation follows.
+        constants: keyword arguments n_basis, alpha_x, beta_x and alpha_k of `fit_forcing`; alpha_k
+            must equal that of the movement primitive of the position, whose phase the orientation
+            follows.
 
     Returns:
         Movement primitive with the duration of the demonstration.
 
     Raises:
         ValueError: for a wrong shape, fewer than two samples, a sample that is no
-            rotation, times that do not increase, 180 degrees or more between two samples,
-            or a rotation of more than `LARGEST_ANGLE` from the middle sample.
+            rotation, times that do not increase, 180 degrees between two consecutive samples, or a
+            rotation of more than 300 degrees from the middle sample.
     """
     R, t = checked_turn(orientations, t)
     r = vectors_from(R, len(R) // 2)
@@ -597,7 +604,7 @@ def vectors_from(R: FloatArray, origin: int) -> FloatArray:
     The rotation vectors are continuous along the sequence, so that they may be longer than pi.
 
     Args:
-        R: (T, 3, 3) orientations.
+        R: (T, 3, 3) orientations R_WE.
         origin: index of the orientation from which the rotation vectors are measured, and in which
             they are expressed.
 
@@ -616,7 +623,8 @@ def vectors_from(R: FloatArray, origin: int) -> FloatArray:
 def origin_of(primitive: OrientationDmp, start: FloatArray) -> Rotation:
     """Computes the orientation R_WA from which the rotation vectors of a motion are measured.
 
-    R_WA = R_WS exp(-[r(0)]), with the rotation vector r(0) at the start (`OrientationDmp.offset`).
+    R_WA = R_WS exp(-[r(0)]), with the rotation vector r(0) from A to the start S, the `offset` of
+    the primitive. A is the fixed reference frame of the motion.
 
     Args:
         primitive: movement primitive of the orientation.
@@ -631,7 +639,7 @@ def minimum_jerk_orientation(**constants: Any) -> OrientationDmp:
     Its rotation from start to goal has a fixed axis and an angle with minimum-jerk profile.
 
     Args:
-        constants: keyword arguments of `fit_forcing`.
+        constants: keyword arguments n_basis, alpha_x, beta_x and alpha_k of `fit_forcing`.
     """
     return imitate_orientation(np.tile(np.eye(3), (201, 1, 1)), **constants)
 
@@ -647,8 +655,9 @@ def checked_turn(orientations: ArrayLike, t: ArrayLike | None) -> tuple[FloatArr
         Rotation matrices (T, 3, 3) and times (T,) [s].
 
     Raises:
-        ValueError: for invalid orientations (`checked_rotations`) or times
-            (`checked_demonstration`).
+        ValueError: for a wrong shape, fewer than two samples, a sample that is no rotation, 180
+            degrees between two consecutive samples, values that are not finite, or times that do
+            not increase.
     """
     R = checked_rotations(orientations)
     return R, checked_demonstration(np.zeros((len(R), 1)), t)[1]
@@ -701,6 +710,9 @@ def roll_orientation(
     end: float,
 ) -> Trajectory:
     """Integrates a movement primitive of the orientation without coupling terms.
+
+    All rotation vectors are measured from the fixed reference frame A of the motion and expressed
+    in A; `origin_of` computes its orientation R_WA.
 
     Args:
         primitive: movement primitive of the orientation.
@@ -755,7 +767,8 @@ def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLi
         goal: (3, 3) orientation R_WG at the goal.
 
     Returns:
-        (3,) rotation vector from the frame A of `origin_of` to the goal, expressed in A [rad].
+        (3,) rotation vector from A to the goal, expressed in A [rad]. A is the fixed reference
+        frame of the motion; `origin_of` computes its orientation R_WA.
 
     Raises:
         ValueError: if both orientations differ by 180 degrees and there is no demonstration.
@@ -766,7 +779,9 @@ def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLi
 
 
 QUATERNION, W, ALPHA = slice(0, 4), slice(4, 7), slice(7, 10)
-"""Slices of quaternion, angular velocity and acceleration of the tool in a result of `evaluate`."""
+"""Slices of quaternion, angular velocity and acceleration of the tool in a result of `evaluate`.
+
+The result is a vector (10,): quaternion of R_WE, w first, w_WE [rad/s] and alpha_WE [rad/s^2]."""
 _DIFFERENCE = 1e-5
 """Time step of the central difference that computes the tool's angular acceleration [s]."""
 
@@ -836,9 +851,9 @@ class Demonstration(Frozen):
     Attributes:
         position: movement primitive of the tool point, with the duration of the motion.
         orientation: movement primitive of the tool's orientation.
-        R_WS: (3, 3) orientation of the tool at the start.
-        R_WG: (3, 3) orientation of the tool at the goal.
-        s: (T,) normalized times of the joint positions, from 0 to 1.
+        R_WS: (3, 3) orientation of the tool at the start, used with `orientation`.
+        R_WG: (3, 3) orientation of the tool at the goal, used with `orientation`.
+        s: (T,) normalized times (time over planned duration) of the joint positions, from 0 to 1.
         q: (T, n) joint positions of the arm at these times [rad].
     """
 
@@ -853,7 +868,7 @@ class Demonstration(Frozen):
         """Interpolates the demonstrated joint positions linearly at normalized times.
 
         Args:
-            s: (M,) normalized times, clipped to [0, 1].
+            s: (M,) normalized times (time over planned duration), clipped to [0, 1].
 
         Returns:
             (M, n) joint positions [rad].

@@ -49,31 +49,36 @@ class DmpIntegrator(LeafSystem):
       - policy_state
 
     - goal: (3,) goal of the motion in the world frame [m]; it may move. While it is not finite, the
-      motion is held.
+      motion is held (stopped on its path).
     - ellipsoids_W (optional): abstract `EllipsoidSet`, the obstacles dilated by the tool.
       Not connected: nominal motion without avoidance.
     - coupling_parameters (optional): abstract `CouplingParameters`, one row per ellipsoid. Normals
-      and a temporal scaling tau in this message take precedence over those of the route. While
-      `hold` is set in the message, the motion is held. Verified terms have their own centers, and
-      act without ellipsoids_W. Not connected: no coupling terms.
+      of the planes of rotation and a temporal scaling tau in this message take precedence over
+      those of the route. While `hold` is set in the message, the motion is held. Terms that
+      roll-outs (simulations) have verified have their own centers, and act without ellipsoids_W.
+      Not connected: no coupling terms.
     - route (optional): abstract `Route` of `CostRingSelector`, one row per ellipsoid: the side on
-      which each obstacle is passed. The guidance headings toward these sides are computed at each
-      step. Not connected: no guidance term, and no temporal scaling by the path length.
+      which each obstacle is passed. The guidance term, (9) of Pairet et al., RA-L 2019, turns the
+      motion toward guidance headings, directions past the obstacles on these sides. They are
+      computed at each step. Not connected: no guidance term, and no temporal scaling by the path
+      length.
     - speed_scale (optional): (1,) requested fraction of full speed in [0, 1], from
-      `MotionGuard`. The motion begins at this fraction; later the speed changes toward it within
-      `policy.hold_time`. The path does not change; at 0 the motion is held. Not connected: 1.
+      `MotionGuard`. The motion begins at this fraction; later the speed changes toward it, by the
+      full speed in the time `policy.hold_time`. The path does not change; at 0 the motion is held.
+      Not connected: 1.
     - evasion_velocity (optional): (3,) velocity in the world frame [m/s] from `MotionGuard` that
       displaces p_WE in addition to the primitive. It does not change phase and scaled velocity;
       the spring acts from the displaced position. It should be continuous, because the desired
       velocity follows it within one step. Not connected: 0.
-    - demonstration (optional): abstract `Demonstration`, whose primitive of the position a
-      restarted motion follows. Not connected or without this primitive: the constructor's
+    - demonstration (optional): abstract `Demonstration`. A motion that restarts follows its
+      movement primitive of the position. Not connected or without this primitive: the constructor's
       primitive.
     - desired_position: (3,) p_WE in the world frame [m].
     - desired_velocity: (3,) v_WE in the world frame [m/s].
     - desired_acceleration: (3,) a_WE in the world frame [m/s^2].
     - phase: (1,) phase k of the canonical system, from 1 at the start to 0.
-    - policy_state: abstract `PolicyState` at the last step of the integrator.
+    - policy_state: abstract `PolicyState` at the last step of the integrator: position, scaled
+      velocity, phase, speed, and the reason while the motion is held.
 
     With position x, scaled velocity z, phase k, goal g, and normalized time s = t / (tau T), where
     T is the demonstrated duration and tau the temporal scaling, the system integrates
@@ -89,17 +94,20 @@ class DmpIntegrator(LeafSystem):
     The abstract state is the current `Segment` between two steps. The desired motion is
     interpolated in this segment, so that a controller may run faster than the policy. A simulator
     that starts with an existing Context continues the motion of the Context. While continuing
-    would not be safe the motion is held: ds/dt falls to 0, and the motion stays on its path. The
-    cases are listed in `drake_oa.policy.action.CouplingInputs.hold_at`.
+    would not be safe the motion is held: ds/dt falls to 0, and the motion stays on its path. This
+    is the case if the obstacles were not observed for `policy.max_observation_age`, if an input
+    requests it, or if the tool or the goal is inside an ellipsoid and roll-outs have not verified
+    the motion.
     """
 
     def __init__(self, dmp: Dmp, start: FloatArray, *, config: Policy | None = None) -> None:
         """Declares ports, state and periodic update; the motion starts with the simulation.
 
         Args:
-            dmp: movement primitive of three dimensions.
+            dmp: movement primitive of the tool point, of three dimensions.
             start: (3,) start of the motion in the world frame [m].
-            config: configuration of period, coupling terms and holds; None: the defaults.
+            config: configuration of the time step, of the fading of coupling terms near the goal,
+                and of holds; None: the defaults.
         """
         super().__init__()
         self._dmp, self._config = dmp, config or Policy()

@@ -12,7 +12,8 @@ E to the center of the obstacle:
 - The ray from E along u enters the obstacle, grown by the clearance, before the goal.
 - The avoidance term would turn the motion to another side: the normal e x u of the plane in which
   the avoidance term acts has a negative component along the normal of the plane in which the
-  obstacle is to be passed. The angle that belongs to this component is the lean.
+  obstacle is to be passed. This component over |e x u|, without its sign, is the sine of an angle,
+  the lean.
 
 v_d blends linearly from u to the tangent as the sine of the lean rises from 0 to 0.5 (30 degrees).
 """
@@ -46,14 +47,14 @@ class Obstacles(NamedTuple):
 
     Attributes:
         p_WO: (M, 3) centers of the ellipsoids in the world frame [m].
-        R_WO: (M, 3, 3) rotations of the ellipsoids.
+        R_WO: (M, 3, 3) rotations of the ellipsoids; the columns are the principal axes.
         semi_axes: (M, 3) semi-axes of the ellipsoids [m].
         terms: (M, 12) coupling terms (turning rates of the motion) at full strength, without the
-            fading near the goal. `coupling.turn_step` describes the columns. The columns of the
-            guidance heading are zero. The normal is that of the plane in which the obstacle is
-            passed, or zero if no side is selected.
-        direction: (M, 3) unit vectors omega_d from the baseline (line from start to goal) to the
-            side on which each obstacle is passed.
+            fading near the goal. The columns are the center of the term (3), alpha, psi, kappa,
+            the guidance heading (3), here zero, and the normal (3) of the plane in which the
+            obstacle is passed, zero if no side is selected.
+        direction: (M, 3) unit vectors omega_d in the world frame, from the baseline (line from
+            start to goal) to the side on which each obstacle is passed.
         remaining_clearance: (M,) distance from each obstacle at which guidance leads the motion
             past the obstacle [m]; 0: no guidance.
     """
@@ -89,7 +90,8 @@ def guide(
         p_WG: goal in the world frame [m].
         ahead: vector from start to goal [m], whose direction is the heading of a motion at rest.
         obstacles: M obstacles.
-        terms: (M, 12) coupling terms of the obstacles; the three columns of the heading are output.
+        terms: (M, 12) coupling terms of the obstacles. Columns 6 to 8, the guidance heading, are
+            output. Columns 9 to 11 contain the normal of the plane in which the obstacle is passed.
     """
     along = z if norm(z) > 0.0 else ahead
     u = scaled(1.0 / norm(along), along)

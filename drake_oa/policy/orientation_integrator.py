@@ -47,8 +47,8 @@ class OrientationSegment(Frozen):
         phase: phase k of the policy (1 at the start, decaying to 0) at the second step.
         begin: time of the first step [s].
         length: time between the steps [s]; 0 before the integrator's first step.
-        p_WS: (3,) start of the policy's motion at the second step [m]; (0,) before the
-            integrator's first step.
+        p_WS: (3,) start position of the policy's motion at the second step [m], whose change marks
+            a restart of the motion; (0,) before the integrator's first step.
         demonstration: active demonstration; while it is empty the constructor's primitive is
             active.
     """
@@ -108,11 +108,12 @@ class OrientationIntegrator(LeafSystem):
     - desired_angular_velocity: (3,) w_WE in the world frame [rad/s].
     - desired_angular_acceleration: (3,) alpha_WE in the world frame [rad/s^2].
 
-    The primitive is described in `drake_oa.policy.dmp`. The abstract state is the current
-    `OrientationSegment` between two steps. In a segment the rotation vector is a cubic polynomial
-    in time, from which angular velocity and acceleration are computed. Both steps must be completed
-    before the orientation is interpolated between them, so that it lags two periods behind the
-    policy.
+    The primitive is a spring-damper system with forcing term for the rotation vector from a fixed
+    frame to the tool; `drake_oa.policy.dmp` has the equations. The abstract state is the current
+    `OrientationSegment`, the motion between two steps. In a segment the rotation vector is a cubic
+    polynomial in time, from which angular velocity and acceleration are computed. Both steps must
+    be completed before the orientation is interpolated between them, so that it lags two periods
+    behind the policy.
     """
 
     def __init__(
@@ -170,10 +171,12 @@ class OrientationIntegrator(LeafSystem):
     def _goal_now(self, context: Context, before: OrientationSegment) -> FloatArray:
         """Computes the rotation vector (3,) [rad] from a motion's origin to its goal orientation.
 
+        The origin is the fixed frame A in which the rotation vectors of the motion are expressed.
+
         Args:
             context: context of the system, whose input `goal_orientation` is evaluated.
-            before: previous segment, with the origin R_WA from which rotation vectors are measured;
-                its goal remains if the input is not connected.
+            before: previous segment, with the orientation R_WA of the origin; its goal remains if
+                the input is not connected.
         """
         if not self._goal_port.HasValue(context):
             return before.goal
@@ -194,7 +197,8 @@ class OrientationIntegrator(LeafSystem):
         Args:
             context: context of the system, whose input `demonstration` is read.
             before: previous segment.
-            policy: current state of the policy, which tells whether a motion starts.
+            policy: current state of the policy; the motion starts if the position p_WS of its start
+                has changed, or if its phase is 1 and the demonstration is new.
         """
         demonstration = self._demonstration.find(context)
         has_restarted = len(before.p_WS) > 0 and not np.array_equal(before.p_WS, policy.p_WS)

@@ -1,7 +1,8 @@
 """Roll-outs of the tool point: simulations of many candidate motions from the current state.
 
-A candidate is a set of coupling terms (turning rates of the motion). Roll-outs use the kernel and
-the time step of `DmpIntegrator` (`drake_oa.policy.action_kernels.advance`).
+A candidate is a set of coupling terms (turning rates of the motion). Roll-outs predict the path of
+`DmpIntegrator`, the system that generates the motion: they use its time step and its integration
+kernel (`drake_oa.policy.action_kernels.advance`).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ Normalized time is time over the planned duration: 1 is the planned end of the m
 ARRIVED = 6e-4
 """Default distance from the goal below which a simulated motion counts as arrived [m]."""
 _EACH = 8
-"""Number of candidate motions for which one more thread takes part in their simulation."""
+"""Number of additional candidate motions for which their simulation uses one more thread [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +78,9 @@ def scene_under_way(
     Args:
         policy: current state of the motion.
         p_WG: (3,) goal in the world frame [m].
-        ellipsoids: observed obstacles with velocities and the stamp of the observation.
-        clearance: requested clearance from all obstacles [m].
+        ellipsoids: observed obstacles in the world frame, with velocities and the stamp of the
+            observation.
+        clearance: requested clearance from each obstacle [m].
         alpha_k: decay rate of the movement primitive's phase, per normalized time.
     """
     lag = policy.stamp - ellipsoids.stamp if math.isfinite(ellipsoids.stamp) else 0.0
@@ -98,7 +100,8 @@ def scene_under_way(
 class ToolRollouts(Frozen):
     """Simulated motions of the tool point for N candidates, over at most T steps.
 
-    Paths are sampled at the start and then once in `every` steps, an argument of `roll_out_tool`.
+    Paths are sampled at the start and then once in `every` steps of the integration, an argument of
+    `roll_out_tool`.
 
     Attributes:
         ds: length of a step in normalized time.
@@ -137,19 +140,22 @@ def roll_out_tool(
     Args:
         scene: current state of the motion; its ellipsoids have no effect.
         terms: (N, K, 12) coupling terms (turning rates) of each candidate at full strength, without
-            the fading near the goal; `coupling.turn_step` describes the columns.
+            the fading near the goal. The columns are the center p_WO (3), alpha, psi, kappa, the
+            guidance heading (3) and the normal of the plane of rotation (3).
         dmp: movement primitive of the nominal motion, which has no coupling terms.
-        policy: configuration, of which `period` and `fade` are used; the step in normalized time
-            is `period` over the duration of the primitive.
+        policy: configuration, of which `period` (time step [s]) and `fade` (distance from the goal
+            within which the terms fade, over the distance from start to goal) are used. The step in
+            normalized time is `period` over the duration of the primitive.
         end: earliest normalized time at which a motion may end; values below the current
             normalized time count as the current one.
         latest: latest normalized time at which a motion ends; values less than 1 after the current
             normalized time count as 1 after it.
-        tolerance: distance from the goal below which a slow motion ends between `end` and `latest`
-            [m].
+        tolerance: distance from the goal below which a motion ends between `end` and `latest`, if
+            its scaled velocity is below 20 times this value [m].
         longest: () or (N,) maximum path lengths [m]; a simulation ends as soon as the length so far
             plus the distance from the goal exceeds it.
-        obstacles: K obstacles past which guidance headings turn the motions; None: no guidance.
+        obstacles: K obstacles with selected sides, past which the guidance term turns the motions;
+            None: no guidance.
         every: number of steps between the samples of the paths.
 
     Returns:
@@ -185,8 +191,18 @@ def _setup(
 ) -> MotionSetup:
     """Computes the integration constants that all simulations in a call of `roll_out_tool` share.
 
-    The result is cached, because a search calls `roll_out_tool` repeatedly from the same state. The
-    arguments are those of `roll_out_tool`, with `period` and `fade` from its configuration.
+    The result is cached, because a search calls `roll_out_tool` repeatedly from the same state.
+
+    Args:
+        scene: current state of the motion.
+        dmp: movement primitive of the nominal motion.
+        period: time step [s].
+        fade: distance from the goal within which the coupling terms fade, over the distance from
+            start to goal [-].
+        end: earliest normalized time at which a motion may end.
+        latest: latest normalized time at which a motion ends.
+        tolerance: distance from the goal below which a slow motion ends [m].
+        every: number of steps between the samples of the paths.
     """
     ds = period / dmp.duration
     max_steps = max(round((max(latest, scene.s + 1.0) - scene.s) / ds), 1)
@@ -220,14 +236,17 @@ def _roll_some(
         part: number of the thread, from 0.
         parts: number of threads.
         setup: constants of the integration.
-        obstacles: obstacles past which guidance headings turn the motions.
-        terms: (N, K, 12) coupling terms (turning rates) of all candidates.
+        obstacles: K obstacles with selected sides, past which the guidance term turns the motions.
+        terms: (N, K, 12) coupling terms (turning rates) of all candidates, with the columns center
+            p_WO (3), alpha, psi, kappa, guidance heading (3) and normal of the plane of rotation
+            (3).
         longest: (N,) maximum path lengths [m].
         out: (N, 3) path length [m], distance from the goal at the end [m] and number of steps;
             output.
-        path: (N, T // every + 1, 3) positions [m]; the first is input, the others output.
-        velocity: (N, T // every + 1, 3) scaled velocities [m]; the first is input, the others
-            output.
+        path: (N, T // every + 1, 3) positions in the world frame, one for each `every` of T steps
+            [m]; the first of each motion is input, the others output.
+        velocity: (N, T // every + 1, 3) scaled velocities at these positions, the derivatives by
+            normalized time [m]; the first of each motion is input, the others output.
     """
     for i in range(part, len(terms), parts):
         acts = len(terms[i]) * int((terms[i, :, ALPHA] > 0.0).any())
