@@ -5,17 +5,21 @@ The package has no systems and no state. Lengths are in meters, angles in radian
 Q in the world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float64.
 
 - `ellipsoid`: the unified system-obstacle descriptor (Pairet et al., RA-L 2019, section IV-B): an
-  obstacle's cloud dilated by the tool, O + (-E), and the enclosing ellipsoid of least volume (Todd
-  and Yildirim 2007), certified against every point and corner; distances and sections. Its loops
-  are in `ellipsoid_kernels`.
-- `superquadric`: the paper's least-squares fit (Solina and Bajcsy 1990).
-- `collision_scene`: collision geometries of robots and obstacles, read from Drake, and their
-  distances to points at a time: exact shapes, hulls and distance fields, each with a velocity;
-  points on their surfaces.
-- `distance_field`: the distance field of a cloud, with its occluded space filled.
+  obstacle's point cloud dilated by the tool, and the enclosing ellipsoid of least volume (Todd and
+  Yildirim 2007), which is checked to contain every point dilated by every corner of the tool;
+  signed distances from points to ellipsoids, and sections of ellipsoids by planes. Its loops are in
+  `ellipsoid_kernels`.
+- `superquadric`: the paper's least-squares fit of a superquadric to a cloud (Solina and Bajcsy
+  1990).
+- `collision_scene`: collision geometries of robots and obstacles, read from Drake: exact shapes,
+  convex hulls and distance fields, each with a velocity; signed distances from points to them at a
+  given time, and points on their surfaces.
+- `distance_field`: grid of distances to an obstacle's point cloud and to the space behind it that
+  the obstacle probably fills.
 - `shapes`: `!Box`, `!Cylinder` and `!Sphere`, blocks of a scenario.
 - `voxels`: mean points by voxel, and clusters of near points.
-- `pinhole`: projection of a pinhole camera; `View`: depth image, intrinsics and pose together.
+- `pinhole`: projection by a pinhole camera; depth images with the intrinsics and pose of their
+  camera (`View`); classification of points by them as free, occluded or at a surface.
 - `directions`: unit vectors, lattices, and points on a sphere.
 
 Compiled kernels take C-contiguous arrays of one type each, so that numba compiles each of them once

@@ -1,9 +1,10 @@
 """Collision geometries of robots, obstacles and environment, and signed distances from points to
 them at a given time.
 
-Spheres, boxes, capsules, cylinders, ellipsoids, half-spaces and convex hulls are exact; a cloud is
-a `DistanceField`. Each geometry has a frame O and a constant velocity. Its position in the world at
-time t is p_WO + v_WO (t - stamp), where p_WO is the position at the time `stamp`.
+Spheres, boxes, capsules, cylinders, ellipsoids, half-spaces and convex hulls are exact; a point
+cloud is described by a `DistanceField`, a grid of signed distances. Each geometry has a frame O and
+a constant velocity. Its position in the world at time t is p_WO + v_WO (t - stamp), where p_WO is
+the position at the time `stamp`.
 
 - `CollisionGeometry`: one geometry.
 - `CollisionGeometries`: several geometries as arrays for compiled kernels.
@@ -37,9 +38,9 @@ from drake_oa.geometry.ellipsoid_kernels import to_ellipsoid
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
 
 PRIMITIVE, ELLIPSOID, HALF_SPACE, HULL, FIELD = range(5)
-"""Kinds of collision geometries, which select the function of the distance. A primitive is a
-cylinder or a rounded box (spheres and capsules included), a field is the distance field of a cloud.
-"""
+"""Kinds of collision geometries, which determine the function that computes a distance. A primitive
+is a cylinder or a rounded box (spheres and capsules included), a hull is the convex hull of points,
+and a field is the distance field of a point cloud."""
 
 ENVIRONMENT = -1
 """Obstacle ID of all geometry of the environment, which is not an obstacle: a table or a stand, for
@@ -53,21 +54,24 @@ the corners of boxes."""
 class CollisionGeometries(NamedTuple):
     """K collision geometries as a few C-contiguous arrays, for compiled kernels.
 
-    O is the frame of a geometry, and its stamp the time of the given pose.
+    O is the frame of a geometry, and its stamp the time of the given pose. W is the world or, for
+    geometries of a robot at poses in its bodies, the frame of the body.
 
     Attributes:
-        ball: (K, 8) center in the world at the stamp, and radius, of a bounding sphere (inf:
-            half-space) [m]; then velocity [m/s] and stamp [s] of the geometry.
+        ball: (K, 8) center in W at the stamp (3), and radius, of a bounding sphere (inf:
+            half-space) [m]; then velocity (3) [m/s] and stamp [s] of the geometry.
         X_WO: (K, 3, 4) upper three rows of the poses at the stamp.
-        size: (K, 7) dimensions [m]. Primitive: half extents of its inner box, rounding radius, and
-            1 for a cylinder about z, else 0. Ellipsoid: semi-axes. Field: edge of a voxel, and low
-            and high corner of the box of occupied nodes in O.
-        layout: (K, 6) kind, four indices, and obstacle ID. The indices of a hull are its first face
-            and one past its last; those of a field are its first element in `voxels`, and nx, ny,
-            nz.
-        faces: (F, 13) triangles of the hulls: outer unit normal, offset, and corners a, b, c in O
-            [m].
-        voxels: float32 distances of all fields [m], in one array.
+        size: (K, 7) dimensions [m], unused ones 0. Rounded box: half extents of its inner box, and
+            the radius by which this box is dilated. Cylinder about z: radius, radius, half its
+            length, 0, and 1 (no length) as a mark. Ellipsoid: semi-axes. Field: edge of a voxel,
+            and low and high corner in O of the bounding box of the grid nodes in the obstacle.
+        layout: (K, 6) kind (`PRIMITIVE`, `ELLIPSOID`, `HALF_SPACE`, `HULL` or `FIELD`), four
+            indices, and obstacle ID. The indices of a hull are its first face in `faces` and one
+            past its last; those of a field are its first element in `voxels`, and its numbers of
+            nodes nx, ny, nz. The others are 0.
+        faces: (F, 13) triangles of the hulls: outer unit normal (3), offset of the plane from the
+            origin of O along the normal [m], and corners a, b, c in O (3 each) [m].
+        voxels: float32 distances at the nodes of all fields [m], in one array.
     """
 
     ball: FloatArray
@@ -98,15 +102,21 @@ class CollisionGeometry(Frozen):
     changes its pose.
 
     Attributes:
-        kind: `PRIMITIVE`, `ELLIPSOID`, `HALF_SPACE`, `HULL` or `FIELD`.
-        name: obstacle ID; all geometries of one obstacle have the same ID.
+        kind: `PRIMITIVE` (cylinder or rounded box), `ELLIPSOID`, `HALF_SPACE` (z <= 0 in O), `HULL`
+            (convex hull) or `FIELD` (distance field of a point cloud).
+        name: obstacle ID, the same for all geometries of one obstacle; -1: environment.
         label: name of the geometry in messages.
-        X_WO: (4, 4) pose of the geometry's frame O at the stamp.
+        X_WO: (4, 4) pose of the geometry's frame O at the stamp, in the world or, for a geometry
+            that `read_geometry` has read, in its body.
         v_WO: (3,) velocity in the world, without rotation [m/s].
         stamp: time of the pose [s].
-        size: dimensions, see `CollisionGeometries.size` [m].
+        size: dimensions [m]. Rounded box: half extents of its inner box, and the radius by which
+            this box is dilated. Cylinder about z: radius, radius, half its length, 0, and 1 (no
+            length) as a mark. Ellipsoid: semi-axes. Field: edge of a voxel, and low and high corner
+            in O of the bounding box of the grid nodes in the obstacle.
         center, radius: bounding sphere in O [m]; radius inf: half-space.
-        faces: (F, 13) triangles of a hull, see `CollisionGeometries.faces`.
+        faces: (F, 13) triangles of a hull: outer unit normal (3), offset of the plane from the
+            origin of O along the normal [m], and three corners in O (3 each) [m].
         grid: distance field of a cloud; None for other kinds.
     """
 
@@ -123,8 +133,8 @@ class CollisionGeometry(Frozen):
     grid: DistanceField | None = None
 
     def placed(self, p_OQ: FloatArray) -> FloatArray:
-        """Transforms points (N, 3) [m] from the geometry's frame O to the reference frame of its
-        pose X_WO.
+        """Transforms points (N, 3) [m] from the geometry's frame O to the frame W of its pose X_WO:
+        the world or, for a geometry of a robot, the body.
         """
         return np.asarray(p_OQ @ self.X_WO[:3, :3].T + self.X_WO[:3, 3])
 
@@ -134,7 +144,8 @@ class CollisionGeometry(Frozen):
         of its frame O [m].
 
         Raises:
-            ValueError: for a half-space or a field; the message contains the label.
+            ValueError: for a half-space or the distance field of a cloud; the message contains the
+                label.
         """
         if self.kind == HULL:
             return np.asarray(np.abs(outline_corners(self) - self.center).max(axis=0))
@@ -253,7 +264,8 @@ class RobotGeometries:
         plant: finalized plant; it is only read.
         model_instance: model instance of the robot in the plant.
         bodies: bodies with collision geometry.
-        geometries: K geometries at their poses in their bodies; their IDs are indices of `bodies`.
+        geometries: K geometries at their poses in their bodies; in place of an obstacle ID, each
+            has the index of its body in `bodies`.
         context: Context of the plant, for computing poses.
     """
 
@@ -276,7 +288,8 @@ class RobotGeometries:
             states: S arrays (num_states,) of positions and velocities [q, v].
 
         Returns:
-            S K geometries: the K geometries at the first state, then those at the second, ...
+            S times K geometries: the robot's K geometries at the first state, then at the second
+            state, and so on.
 
         Raises:
             ValueError: for a state of the wrong size, or with an element that is not finite.
@@ -495,7 +508,8 @@ def outline_corners(geometry: CollisionGeometry) -> FloatArray:
         (K, 3) points in the geometry's frame O [m].
 
     Raises:
-        ValueError: for a half-space or a field; the message contains the label.
+        ValueError: for a half-space or the distance field of a cloud; the message contains the
+            label.
     """
     if geometry.kind == HULL:
         return np.unique(geometry.faces[:, 4:].reshape(-1, 3), axis=0)
@@ -509,14 +523,16 @@ def surface_points(geometry: CollisionGeometry, count: int = 300) -> FloatArray:
     to the sampling of curved surfaces.
 
     Args:
-        geometry: a primitive, an ellipsoid or a hull.
+        geometry: a primitive (cylinder or rounded box, spheres and capsules included), an ellipsoid
+            or a convex hull.
         count: desired number of points, at least 30.
 
     Returns:
         (N, 3) points in the geometry's frame O [m].
 
     Raises:
-        ValueError: for a half-space or a field; the message contains the label.
+        ValueError: for a half-space or the distance field of a cloud; the message contains the
+            label.
     """
     shell = geometry
     if geometry.kind != HULL:
@@ -554,7 +570,8 @@ def geometry_distance(
     """Computes the signed distance [m] from a point (x, y, z) in the world to collision geometry k
     at time t [s].
 
-    The distance is exact, also inside, except for a field (see `drake_oa.geometry.distance_field`).
+    The distance is exact, also inside, except for the distance field of a cloud: it is interpolated
+    between the nodes of a grid and, outside the cloud, at most one voxel too large.
     """
     ball, X = geometries.ball, geometries.X_WO
     since = t - ball[k, 7]
@@ -587,7 +604,8 @@ def ball_bound(
     """Computes a lower bound of the distance [m] from a point (x, y, z) in the world to collision
     geometry k at time t [s].
 
-    The bound is the distance to the geometry's bounding sphere; -inf for a half-space.
+    The bound is the distance to the geometry's bounding sphere, negative inside; -inf for a
+    half-space.
     """
     ball = geometries.ball
     since = t - ball[k, 7]
@@ -637,8 +655,9 @@ def _to_primitive(x: float, y: float, z: float, size: FloatArray) -> float:
 
     Args:
         x, y, z: coordinates of the point in the frame of the primitive [m].
-        size: half extents of the inner box, rounding radius [m], and 1 for a cylinder about z, else
-            0.
+        size: for a rounded box, half extents of its inner box, the radius by which this box is
+            dilated [m], and 0; for a cylinder about z, radius, radius, half its length, 0 [m], and
+            1.
     """
     a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
     if size[4] != 0.0:
@@ -656,8 +675,9 @@ def _to_hull(f: FloatArray, span: IntArray, x: float, y: float, z: float) -> flo
     """Computes the signed distance [m] from a point to a convex hull.
 
     Args:
-        f: (F, 13) faces of all hulls, see `CollisionGeometries.faces`.
-        span: first face of the hull, and one past its last.
+        f: (F, 13) triangles of all hulls: outer unit normal (3), offset of the plane from the
+            origin along the normal [m], and three corners (3 each) [m].
+        span: index of the hull's first triangle, and one past its last.
         x, y, z: coordinates of the point in the frame of the hull [m].
     """
     largest, best = -np.inf, np.inf
@@ -705,7 +725,8 @@ def _interpolated(
 
     Args:
         x, y, z: coordinates of the point [m].
-        size: (7,) edge of a voxel, and low and high corner of the box of occupied nodes [m].
+        size: (7,) edge of a voxel, and low (3) and high corner (3) in O of the bounding box of the
+            nodes in the obstacle [m].
         span: (4,) first element of the field in `voxels`, and numbers of nodes nx, ny, nz.
         voxels: concatenated values of all fields [m].
     """

@@ -11,8 +11,8 @@ from drake_oa.common.messages import FloatArray
 
 
 def lattice(*axes: ArrayLike) -> FloatArray:
-    """Returns all N points (N, n) of a rectangular lattice in n dimensions, from its coordinates
-    along each axis.
+    """Returns all N points (N, n) of a rectangular lattice in n dimensions, from n arrays of its
+    coordinates along each axis.
     """
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
@@ -32,4 +32,5 @@ _GRID = np.delete(lattice(*[[-1.0, 0.0, 1.0]] * 3), 13, axis=0)
 """Points (26, 3) with coordinates -1, 0 and 1 along each axis, without the origin, from which
 `DIRECTIONS` is computed."""
 DIRECTIONS = _GRID / np.linalg.norm(_GRID, axis=1, keepdims=True)
-"""Unit vectors (26, 3) from the center of a cube to its 6 faces, 12 edges and 8 corners."""
+"""Unit vectors (26, 3) from the center of a cube to the centers of its 6 faces and 12 edges, and to
+its 8 corners."""

@@ -1,9 +1,10 @@
 """Signed distance field of an obstacle's point cloud: distances to the cloud at the nodes of a grid
 around it.
 
-A distance query has the same cost for any number of points. The frame O of the grid has the world's
-axes, and its origin is the first node; it moves with the obstacle. Nodes are the centers of voxels
-of the world, so that a cloud of one point per voxel occupies one node per point.
+Distances are negative inside the obstacle. A distance query has the same cost for any number of
+points. The frame O of the grid has the world's axes, and its origin is the first node; it moves
+with the obstacle. Nodes are the centers of voxels, whose grid has a corner at the world's origin,
+so that a cloud of one point per voxel occupies one node per point.
 """
 
 from __future__ import annotations
@@ -37,8 +38,9 @@ OFFSET = 0.13
 """Constant that is subtracted from all distances of a distance field, so that they are at most one
 voxel too large [voxel].
 
-A point is at most sqrt(3) / 2 from its node. Interpolation adds at most 0.26 to the distance from a
-node; the maximum, by numerical search, is near the center of a voxel with the node as a corner."""
+In voxels, a point is at most sqrt(3) / 2 from the nearest node. Interpolation adds at most 0.26 to
+the distance from a node; the maximum, by numerical search, is near the center of a voxel with the
+node as a corner."""
 _THIN = 1e-4
 """Half the width of each point in the outline of an obstacle from above, so that collinear points
 have an outline [m]."""
@@ -58,14 +60,16 @@ class DistanceField(Frozen):
     """Signed distances to a point cloud at the nodes of a grid; between nodes they are
     interpolated.
 
-    The frame O of the grid has the world's axes and its origin at the first node. Outside the cloud
-    a distance is at most one voxel too large; see `field_of` for the opposite error.
+    The frame O of the grid has the world's axes and its origin at the first node. A node is
+    occupied if its voxel contains a point, or if it is in the space behind the points that the
+    obstacle probably fills. Distances are negative inside the occupied space. Outside, a distance is at most
+    one voxel too large, and at most two voxels too small if voxels have the default edge of 1 cm.
 
     Attributes:
         p_WO: (3,) first node in the world, at the observation of the cloud [m].
         voxel: edge of a voxel, the distance between neighboring nodes [m].
         values: (nx, ny, nz) float32 distances at the nodes p_WO + voxel (i, j, k) [m].
-        low, high: (3,) corners of the bounding box of the occupied nodes, in O [m].
+        low, high: (3,) corners in O of the bounding box of the occupied nodes [m].
     """
 
     p_WO: FloatArray
@@ -87,8 +91,9 @@ def field_of(
     occludes from the cameras.
 
     A node is occupied if its voxel contains a point. At each node the distance to the nearest
-    occupied node is exact. For each viewpoint, nodes that satisfy all of these conditions are also
-    occupied:
+    occupied node is exact. The width of the visible part is its horizontal extent across the view,
+    and its visible depth the horizontal extent along the view. For each viewpoint, nodes that
+    satisfy all of these conditions are also occupied:
 
     - The node is behind the visible surface on a ray of the viewpoint. Its horizontal distance from
       this surface is at most `deepest`, and at most the larger of the obstacle's width and visible
@@ -99,10 +104,11 @@ def field_of(
       point by at most the width, up to `deepest`.
     - It is not observed to be free.
 
-    The distance is at most one voxel larger than that to the points, and at most two smaller:
-    sqrt(3)/2 from the point to its node, as much again at creases of the distance between nodes,
-    and the offset of 0.13. Away from creases, as outside a surface, it is at most one voxel
-    smaller. Coarser voxels than `VOXEL` reduce all distances by the difference.
+    The distance is at most one voxel larger than that to the points and, if no space is filled, at
+    most two smaller: sqrt(3)/2 from the point to its node, as much again at creases of the distance
+    between nodes, where two occupied nodes are equally near, and the subtracted offset of 0.13.
+    Away from creases, as outside a surface, it is at most one voxel smaller. Voxels with an edge
+    above `VOXEL` (1 cm) reduce all distances by the difference of the edges.
 
     Args:
         cloud: (N, 3) points in the world, at least one [m].
@@ -157,8 +163,8 @@ def _distances(occupied: BoolArray) -> FloatArray:
 
 @compiled
 def _nearest_along(lines: FloatArray) -> FloatArray:
-    """Computes min_j (f_j + (i - j)^2) at each i of each line f (L, n), one pass of a squared
-    distance transform.
+    """Computes min_j (f_j + (i - j)^2) for each index i of each row f of `lines` (L, n), one pass
+    of a squared distance transform [voxel^2].
 
     The minimum is the lower envelope of parabolas: P. Felzenszwalb and D. Huttenlocher, "Distance
     transforms of sampled functions", Theory of Computing 8(19), 2012.
@@ -191,8 +197,8 @@ def _grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray, IntArra
     (3,) [m].
 
     Returns:
-        Edge of the voxels [m], indices (3,) of the first voxel in the world, and numbers (3,) of
-        nodes.
+        Edge of the voxels [m]; indices (3,) of the first voxel in a grid with a corner at the
+        world's origin; and numbers (3,) of nodes along the axes.
     """
     voxel = VOXEL
     while True:
@@ -214,19 +220,26 @@ def _find_occluded(
     deepest: float,
     table: TablePlane | None,
 ) -> IntArray:
-    """Finds the nodes of a grid that an obstacle occludes from a viewpoint, by the conditions of
-    `field_of`.
+    """Finds the nodes of a grid that an obstacle occludes from a viewpoint, and that it probably
+    fills.
+
+    The nodes are behind the visible surface, at a horizontal distance of at most `deepest` and of
+    at most the larger horizontal extent of the points, along or across the view. They are within
+    the outline from above of the points and their mirror image, and above the table. Without a
+    table, they are above the lowest point, or below the highest point by at most the extent across
+    the view, up to `deepest`.
 
     Args:
-        points: (N, 3) points of the obstacle [m].
-        p_WV: (3,) viewpoint [m].
-        p_WO: (3,) first node of the grid [m].
+        points: (N, 3) points of the obstacle in the world [m].
+        p_WV: (3,) viewpoint, the position of the camera in the world [m].
+        p_WO: (3,) first node of the grid in the world [m].
         voxel: edge of a voxel [m].
         deepest: maximum assumed depth of the obstacle [m].
         table: support plane; nothing is filled below it.
 
     Returns:
-        (K, 3) indices of the occluded nodes.
+        (K, 3) indices of the occluded nodes; (0, 3) for a viewpoint less than 5 cm from the
+        bounding box of the points.
     """
     nodes = np.zeros((0, 3), dtype=np.int64)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -288,10 +301,11 @@ def _outline(along: FloatArray, across: FloatArray, depth: float) -> FloatArray:
 
     Args:
         along, across: (N,) horizontal coordinates of the points along the view and across it [m].
-        depth: depth of the obstacle along the view, from its nearest point [m].
+        depth: assumed depth of the obstacle along the view, from its nearest point [m].
 
     Returns:
-        (E, 3) half-planes: outer normal (along, across), and offset [m].
+        (E, 3) half-planes n x <= d, whose intersection is the outline: outer unit normal n (along,
+        across), and offset d [m].
     """
     points = np.column_stack([along, across])
     middle = [along.min() + 0.5 * depth, 0.5 * (across.min() + across.max())]

@@ -34,8 +34,9 @@ other axes only."""
 _TOLERANCE = 1e-2
 """Relative tolerance with which an enclosing ellipsoid has the least volume [-].
 
-The gauge of a point is 1 on the surface of the ellipsoid. Before the final scaling, which encloses
-all points, the squared gauge of the points is at most about 1 plus this value."""
+The gauge of a point is 1 on the surface of the ellipsoid and grows in proportion to the distance
+from the center. Before the final scaling, which encloses all points, the squared gauge of the
+points is at most about 1 plus this value."""
 _DIRECTIONS = sphere_points(156)
 """Unit vectors (162, 3) in whose directions the support points (farthest points) of a dilated cloud
 are computed."""
@@ -55,9 +56,10 @@ class Ellipsoid(Frozen):
         center: (3,) center p_WO [m].
         R: (3, 3) rotation R_WO; its columns are the principal axes, right-handed.
         semi_axes: (3,) semi-axes along those columns, largest first [m].
-        gauge: largest gauge of any point dilated by any corner of the tool, computed from the other
-            fields. The gauge is 1 on the surface and smaller inside, so that a value of at most 1
-            certifies that the ellipsoid encloses all dilated points.
+        gauge: largest gauge of any point x dilated by any corner of the tool, computed from the
+            other fields, with gauge(x) = |diag(1 / semi_axes) R^T (x - center)|. The gauge is 1 on
+            the surface and smaller inside, so that a value of at most 1 certifies that the
+            ellipsoid encloses all dilated points.
     """
 
     center: FloatArray
@@ -81,7 +83,7 @@ def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
             TCP), in W orientation [m]; [[0, 0, 0]]: a point.
 
     Returns:
-        (S, 3) distinct support points in W [m], at most one for each of `_DIRECTIONS`.
+        (S, 3) distinct support points in W [m], at most one for each of 162 directions.
 
     Raises:
         ValueError: if points or tool are empty, not of shape (., 3), or not finite.
@@ -96,17 +98,19 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
     """Computes the ellipsoid of least volume that encloses a point cloud dilated by a tool, and
     certifies it.
 
-    Khachiyan's algorithm with the away steps of Todd and Yildirim (2007) encloses the support
-    points of `dilate`. While a dilated point is outside by more than the tolerance, the farthest
-    one is added and the fit repeated. Finally the ellipsoid is scaled about its center until it
-    contains the farthest of all N x K points, and is checked.
+    A dilated point is the difference of a point and a vertex of the tool. Khachiyan's algorithm
+    with the away steps of Todd and Yildirim (2007) encloses the support points, the dilated points
+    that are farthest in one of 162 directions. While a dilated point is outside by more than the
+    tolerance, the farthest one is added and the fit repeated. Finally the ellipsoid is scaled about
+    its center until it contains the farthest of all N x K dilated points, and is checked.
 
     Args:
         points: (N, 3) points in W [m].
-        tool: (K, 3) vertices of the tool as in `dilate`; None: a point.
+        tool: (K, 3) vertices of the tool's convex geometry relative to its reference point, in W
+            orientation [m]; None: a point.
 
     Returns:
-        Ellipsoid with gauge <= 1.
+        Ellipsoid whose field `gauge` is at most 1: it contains all dilated points.
 
     Raises:
         ValueError: if points or tool are empty, not of shape (., 3), or not finite.
@@ -188,9 +192,9 @@ def plane_section(
     """Computes the ellipse in which the plane through an ellipsoid's center along e1 and e2 cuts
     the ellipsoid.
 
-    The principal semi-axes are eig(S)^(-1/2), with S of `section_matrix`. They are the descriptors
-    lambda' of Pairet et al., RA-L 2019, if the plane is the P-plane: the plane of tool, velocity
-    and obstacle center.
+    The principal semi-axes are eig(S)^(-1/2), with S = U R diag(1/a^2) R^T U^T, semi-axes a of the
+    ellipsoid and rows e1, e2 of U. They are the descriptors lambda' of Pairet et al., RA-L 2019, if
+    the plane is the P-plane: the plane of tool, velocity and obstacle center.
 
     Args:
         R: (..., 3, 3) rotations R_WO.
@@ -236,6 +240,9 @@ def _least_volume(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
     """Computes the ellipsoid of least volume that encloses points, up to the tolerance
     `_TOLERANCE`.
 
+    Points may be outside: their distance from the center is up to about 1 % larger than that of the
+    surface in the same direction. The semi-axes are at least `LEAST_SEMI_AXIS` (1 mm).
+
     Args:
         points: (N, 3) points [m].
 
@@ -278,6 +285,9 @@ def _farthest(
 ) -> tuple[float, int, int]:
     """Finds the dilated point that is farthest outside or least inside an ellipsoid, by its gauge:
     1 on the surface.
+
+    A dilated point x is the difference of a point and a tool vertex. Its gauge is
+    |diag(1 / semi_axes) R^T (x - center)|.
 
     Args:
         points: (N, 3) points of a cloud [m].

@@ -24,9 +24,10 @@ def to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> float:
     """Computes the signed distance [m] from a point (x, y, z) to an ellipsoid with semi-axes e [m],
     in the frame of the ellipsoid.
 
-    With y_i the absolute coordinates, the nearest point is e_i^2 y_i / (s + e_i^2). s is the
-    largest root of the secular equation sum_i (e_i y_i / (s + e_i^2))^2 = 1 (Eberly 2013). Newton's
-    method on the inverse square root of the sum, which is concave, converges to s from below.
+    The distance is negative inside. With y_i the absolute coordinates of the point, the nearest
+    point of the surface has the absolute coordinates e_i^2 y_i / (s + e_i^2). s is the largest root
+    of the secular equation sum_i (e_i y_i / (s + e_i^2))^2 = 1 (Eberly 2013). Newton's method on
+    the inverse square root of the sum, which is concave, converges to s from below.
     """
     a2, b2, c2 = e[0] * e[0], e[1] * e[1], e[2] * e[2]
     # On a plane of symmetry a term of the sum, and with it the largest root, would vanish.
@@ -55,7 +56,7 @@ def signed_distances(y: FloatArray, e: FloatArray, distance: FloatArray) -> None
     Args:
         y: (N, 3) points [m].
         e: (N, 3) semi-axes [m].
-        distance: (N,) distances [m], written.
+        distance: (N,) distances, negative inside [m]; output.
     """
     for n in range(len(distance)):
         distance[n] = to_ellipsoid(y[n, 0], y[n, 1], y[n, 2], (e[n, 0], e[n, 1], e[n, 2]))
@@ -74,15 +75,15 @@ def optimal_weights(
         g_i = q_i^T (sum_k u_k q_k q_k^T)^-1 q_i   with q_i = (x_i, 1).
 
     The weight of the point with the largest g_i increases, or that of the point with the least g_i
-    among those with weight decreases.
+    among the points with a weight above 0 decreases.
 
     Args:
-        points: (N, 3), zero in the last 3 - rank coordinates.
+        points: (N, 3) normalized points x_i [-], zero in the last 3 - rank coordinates.
         rank: dimension of the space that the points span.
         tolerance: relative tolerance of optimality: g_i <= (1 + tolerance) n for all points and g_i
-            >= (1 - tolerance) n for those with weight, n = rank + 1.
+            >= (1 - tolerance) n for those with a weight above 0, n = rank + 1.
         max_steps: maximum number of steps.
-        u: (N,) weights, written.
+        u: (N,) weights u_k with the sum 1 [-]; output.
     """
     count = points.shape[0]
     n = rank + 1.0

@@ -38,7 +38,7 @@ class View(NamedTuple):
     """Depth image of a camera, with the intrinsics and the pose of this camera.
 
     Attributes:
-        z: (H, W) float32 depth along the optical axis [m].
+        z: (H, W) float32 depth along the optical axis [m]; not positive: no depth.
         K: (4,) focal lengths fx, fy and principal point cx, cy [pixel].
         X_WC: (4, 4) pose of the camera in the world (x right, y down, z forward).
     """
@@ -77,10 +77,11 @@ def pixel_at(p_C: FloatArray, shape: tuple[int, ...], K: FloatArray) -> IntArray
     Args:
         p_C: (..., 3) points in the camera frame [m].
         shape: rows and columns of the image.
-        K: (4,) fx, fy, cx, cy [pixel].
+        K: (4,) focal lengths fx, fy and principal point cx, cy [pixel].
 
     Returns:
-        (...) indices; -1 behind the camera and outside the image.
+        (...) indices, row times the number of columns plus column; -1 behind the camera and outside
+        the image.
     """
     z = np.where(p_C[..., 2] > 1e-6, p_C[..., 2], np.nan)
     column = np.rint(K[0] * p_C[..., 0] / z + K[2])
@@ -98,11 +99,12 @@ def classify_points(points: FloatArray, view: View, margin: float) -> tuple[IntA
     Args:
         points: (N, 3) points in the world frame [m].
         view: depth image with intrinsics and pose of its camera.
-        margin: maximum depth difference of a point and the surface that it is at [m].
+        margin: maximum difference in depth for which a point counts as at a surface [m].
 
     Returns:
-        (N,) states HIDDEN, AT, FREE, OUT or EMPTY, and (N,) flat indices of the pixels, -1 outside
-        the image.
+        (N,) states: HIDDEN (occluded), AT (at a surface), FREE (in free space), OUT (outside the
+        image, or without depth) or EMPTY (without depth, as are the pixels at a distance of 12
+        pixels around it); and (N,) indices of the pixels in the flattened image, -1 outside it.
     """
     p_C = (points - view.X_WC[:3, 3]) @ view.X_WC[:3, :3]
     z, (rows, columns) = view.z, view.z.shape

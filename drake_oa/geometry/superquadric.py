@@ -37,7 +37,8 @@ def fit_superquadric(points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatAr
         points: (N, 3) points in W [m].
 
     Returns:
-        Center (3,) [m], rotation (3, 3) and semi-axes (3,) [m].
+        Center (3,) in W [m], rotation (3, 3) whose columns are the principal axes in W, and
+        semi-axes (3,) along them [m].
 
     Raises:
         ValueError: if points are empty, not (N, 3) or not finite.
@@ -56,7 +57,7 @@ def fit_superquadric(points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatAr
 
         Args:
             x: (9,) optimization variables: displacement of the center in half extents of the cloud,
-                rotation vector, and logarithms of the semi-axes over the half extents.
+                rotation vector [rad], and logarithms of the semi-axes over the half extents.
         """
         turn = np.asarray(Rotation.from_rotvec(x[3:6]).as_matrix())
         return middle + half * x[:3], turn, half * np.exp(x[6:])

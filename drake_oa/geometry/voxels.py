@@ -18,8 +18,9 @@ def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray,
         voxel: edge of a voxel [m].
 
     Returns:
-        (M, 3) mean points of the occupied voxels [m], sorted by voxel; (N,) index of the voxel of
-        each point; (M,) number of points per voxel.
+        (M, 3) mean points of the M voxels with points [m], sorted by the voxel's position along x,
+        then y, then z; (N,) index from 0 to M - 1 of the voxel of each point; (M,) number of points
+        in each voxel.
     """
     keys = np.floor(points / voxel) @ [2.0**34, 2.0**17, 1.0]
     # Consecutive points usually share a voxel: sorting only the first of each run is faster.
@@ -51,7 +52,7 @@ def _unite(points: FloatArray, tolerance: float, parent: IntArray) -> None:
     """Unites the sets of near points in a union-find forest, so that each set becomes a cluster.
 
     Args:
-        points: (N, 3), ascending along their first axis [m].
+        points: (N, 3) points, sorted by their first coordinate [m].
         tolerance: maximum distance of two points that are united [m].
         parent: (N,) parent of each point in the forest; after the call, the root.
     """
@@ -81,7 +82,7 @@ def connected_clusters(
             no groups.
 
     Returns:
-        (N,) labels of the clusters, in the order of their first points.
+        (N,) labels of the points' clusters: 0, 1, ..., in the order of the clusters' first points.
     """
     if not len(points):
         return np.zeros(0, dtype=np.int64)
