@@ -8,14 +8,16 @@ also tracking error (3,) [m] and orientation error (3,) [rad].
 
 Systems:
 
-- `JointInverseDynamics`: computed-torque control of the joint motion that MotionGuard outputs.
+- `JointInverseDynamics`: computed-torque control of the joint motion that MotionGuard, the system
+  of the safety layer, outputs.
 - `CartesianInverseDynamics`: operational-space control of the tool, in diagrams without
-  MotionGuard, such as those of `inference: !Paper` (the method of the paper without checks by
-  simulation).
+  MotionGuard, such as those of `inference: !Paper` (the method of Pairet et al., RA-L 2019, without
+  checks of the motion by simulation).
 
 Both derive from `InverseDynamics`. Integral action, updated each `policy.period`, removes the
 steady-state error caused by model errors. Torques are limited to the joints' effort limits without
-changing the direction of the acceleration. While an input is not finite, the joints are braked.
+changing the direction of the acceleration. While an input is not finite, the joints are braked by
+damping.
 
 The configuration is `robot.gains` of a scenario (`drake_oa.robot.config.Gains`).
 

@@ -64,14 +64,15 @@ class CartesianInverseDynamics(InverseDynamics):
       connected: 0.
     - desired_posture (optional): (2m,) nominal positions [rad] and velocities [rad/s] of the arm's
       m joints, which the null space tracks. Not connected: the constructor's posture, at rest.
-    - actuation: (n,) torques and forces in the order of the plant's actuators [N m, N]: control law
-      of `drake_oa.control.operational_space` for the arm, spring and damper for the fingers.
+    - actuation: (n,) torques and forces in the order of the plant's actuators [N m, N]: the control
+      law below for the arm, spring and damper for the fingers.
     - torque_saturation: (1,) 1 while the control law exceeds the effort limit of an arm joint,
       otherwise 0.
     - tracking_error: (3,) desired minus actual position in the world frame [m]; inf while stopping
       is 1.
     - stopping: (1,) 1 while the joints are braked because an input is not finite or the
-      quaternion is zero, otherwise 0; the torque is 0 if the robot's state is not finite.
+      quaternion is zero, otherwise 0; the torque of the arm is 0 if the robot's state is not
+      finite.
     - orientation_error: (3,) rotation vector from the actual to the desired orientation in
       the world frame [rad]; inf while stopping is 1.
 
@@ -91,6 +92,13 @@ class CartesianInverseDynamics(InverseDynamics):
     and the posture acceleration
 
         a_0 = kp_posture (q_posture - q) + kd_posture (v_posture - v).
+
+    With the arm's mass matrix M, gravity and velocity terms h, and the Jacobian J of the tool, the
+    torques of the arm are
+
+        tau = M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0) + h,
+
+    where the inverse of J M^-1 J^T is damped near singularities. a_0 acts in the null space.
     """
 
     largest_error = np.repeat([0.0, LARGEST_ERROR], 3)
@@ -107,11 +115,13 @@ class CartesianInverseDynamics(InverseDynamics):
         """Declares the ports and the state of the controller.
 
         Args:
-            plant: plant of the robot, with the requirements of `InverseDynamics`.
+            plant: finalized plant of the robot alone, its base welded to the world, every joint of
+                one degree of freedom and actuated. It must outlive the system.
             R_WE_desired: orientation of the tool, used if desired_orientation is not connected.
-            q_posture: (nq,) positions of the plant [rad, m], whose arm joints are the nominal
-                posture if desired_posture is not connected.
-            options: keyword arguments of `InverseDynamics`.
+            q_posture: (n,) positions of the plant [rad, m]. Those of the arm's joints are the
+                nominal posture if desired_posture is not connected.
+            options: keyword arguments tool_frame (required), gains, finger_opening and period of
+                `InverseDynamics`.
         """
         super().__init__(plant, **options)
         gains = self._gains

@@ -46,7 +46,7 @@ LARGEST_STATE = 1e9
 """Magnitude of a position [rad, m] or velocity [rad/s, m/s] from which the controller treats the
 robot's state as invalid.
 
-An invalid state is treated as one that is not finite, because torques computed from larger values
+The controller reacts as to a state that is not finite, because torques computed from larger values
 would overflow."""
 
 
@@ -56,11 +56,13 @@ class Command(Frozen):
     status.
 
     Attributes:
-        tau: (m,) torques and forces of all m joints, finite and within the limits [N m, N].
+        tau: (m,) torques and forces of all m joints in the order of the plant's velocities, finite
+            and within the limits [N m, N].
         saturated: whether the control law exceeds the effort limit of an arm joint.
         stopping: whether the joints are braked because an input is not finite.
-        error: (k,) control error of the joints or of the tool [rad, m]; inf while the joints are
-            braked.
+        error: (k,) desired minus actual positions of the arm's joints [rad] or, for the tool,
+            rotation vector from the actual to the desired orientation [rad] (3), then desired minus
+            actual position [m] (3), in the world frame; inf while the joints are braked.
     """
 
     tau: FloatArray = zeros(0)
@@ -89,11 +91,12 @@ class InverseDynamics(LeafSystem):
     - stopping: (1,) 1 while the joints are braked because an input is not finite, otherwise 0.
 
     With the arm's equation of motion M dv/dt + h = tau (mass matrix M, gravity and velocity terms
-    h), a subclass computes tau - h and the control error. The subclass also declares a discrete
-    state of the size of the error plus 1: `ki_position` times the integral of the error, an
-    acceleration, and 1 while the arm is braked. When braking begins, a warning names the invalid
-    inputs. The control law is evaluated once for all outputs. The Context of the robot's plant is a
-    cache entry.
+    h), a subclass computes tau - h and the control error, desired minus actual. The subclass also
+    declares a discrete state of the size of the error plus 1. It contains `ki_position` times the
+    integral of the error, which is an acceleration, and 1 while the arm is braked. Braking applies
+    the torques -kd_stop M v + h or, if the robot's state is not finite, 0. When braking begins, a
+    warning names the invalid inputs. The control law is evaluated once for all outputs. The Context
+    of the robot's plant is a cache entry.
     """
 
     largest_error: FloatArray | float
@@ -119,7 +122,8 @@ class InverseDynamics(LeafSystem):
                 one degree of freedom and actuated. It must outlive the system.
             tool_frame: name of the tool frame E, which the arm's joints move.
             gains: gains of the controller; None: the defaults.
-            finger_opening: set point of each finger joint, a joint that does not move E [m].
+            finger_opening: set point of each finger joint [m]; all joints that do not move E count
+                as finger joints.
             period: period with which the integral is updated [s].
 
         Raises:
@@ -183,13 +187,14 @@ class InverseDynamics(LeafSystem):
 
         Args:
             context: context of the system.
-            model: context of the plant, at a finite state.
-            M: (n, n) mass matrix of the arm, reflected rotor inertia included [kg m^2].
-            correction: (k,) acceleration by the integral of the error [m/s^2 or rad/s^2].
+            model: context of the plant, set to the robot's current state, which is finite.
+            M: (n, n) mass matrix of the arm's n joints, reflected rotor inertia included [kg m^2].
+            correction: (k,) acceleration that integral action adds to each component of the
+                controlled motion [m/s^2 or rad/s^2].
 
         Returns:
             Torques (n,) without those against gravity and velocity terms [N m], not finite if an
-            input is not; and control error (k,) [rad or m].
+            input is not; and control error (k,), desired minus actual [rad or m].
         """
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
@@ -251,23 +256,24 @@ class JointInverseDynamics(InverseDynamics):
     - robot_state: (2m,) positions and velocities of the robot's m joints [rad, m, rad/s, m/s].
     - desired_joint_state: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints.
     - desired_joint_acceleration: (n,) accelerations of the arm's joints [rad/s^2].
-    - actuation: (m,) torques and forces in the order of the plant's actuators [N m, N]: computed
-      torque for the arm, spring and damper for the other joints.
+    - actuation: (m,) torques and forces in the order of the plant's actuators [N m, N]: the control
+      law below for the arm, spring and damper for the other joints.
     - torque_saturation: (1,) 1 while the control law exceeds the effort limit of an arm joint,
       otherwise 0.
     - stopping: (1,) 1 while the joints are braked because an input is not finite, otherwise 0; the
-      torque is 0 if the robot's state is not finite.
+      torque of the arm is 0 if the robot's state is not finite.
 
     The control law is
 
         tau = M (a_d + kd_position (v_d - v) + kp_position (q_d - q) + i) + h,
         di/dt = ki_position (q_d - q),
 
-    with measured q and v, desired q_d, v_d and a_d, mass matrix M, gravity and velocity terms h,
-    and the gains of `Gains`; `kd_stop` is the damping of braking. If a torque exceeds its limit,
-    the accelerating torques of all joints are reduced by the same factor. The direction of the
-    acceleration then does not change (`limit_torque`). Drake's `InverseDynamicsController` does not
-    limit torques, and outputs NaN for a state that is not finite.
+    with measured q and v, desired q_d, v_d and a_d, integral action i, mass matrix M, gravity and
+    velocity terms h, and the gains of the configuration `robot.gains`. Braking applies the torques
+    -kd_stop M v + h. If a torque exceeds its limit, the accelerating torques tau - h of all joints
+    are reduced by the same factor. The direction of the acceleration then does not change. Drake's
+    `InverseDynamicsController` does not limit torques, and outputs NaN for a state that is not
+    finite.
     """
 
     largest_error, max_correction = LARGEST_ERROR, LARGEST_ACCELERATION
@@ -276,10 +282,11 @@ class JointInverseDynamics(InverseDynamics):
         """Declares the ports and the state of the controller.
 
         Args:
-            plant: plant of the robot, with the requirements of `InverseDynamics`.
-            options: keyword arguments of `InverseDynamics`; `tool_frame` is required. For a plant
-                of `make_robot_plant` it is `robot_plant.tool_frame.name()`, and `finger_opening`
-                the field of the block `robot`.
+            plant: finalized plant of the robot alone, its base welded to the world, every joint of
+                one degree of freedom and actuated. It must outlive the system.
+            options: keyword arguments tool_frame (required), gains, finger_opening and period of
+                `InverseDynamics`. For a plant of `make_robot_plant`, tool_frame is
+                `robot_plant.tool_frame.name()`, and finger_opening the field of the block `robot`.
         """
         super().__init__(plant, **options)
         self._desired = self.DeclareVectorInputPort("desired_joint_state", 2 * self._n)
@@ -305,8 +312,8 @@ def find_arm(plant: MultibodyPlant, frame: Frame) -> slice:
     velocities.
 
     Args:
-        plant: plant of the robot.
-        frame: tool frame.
+        plant: finalized plant of the robot.
+        frame: tool frame E.
 
     Raises:
         ValueError: if no joint moves the tool frame, or these joints are not consecutive.
@@ -326,9 +333,9 @@ def limit_torque(
     """Limits the torques tau = bias + drive of an arm to the effort limits of the joints.
 
     If a joint exceeds its effort limit, the drive of all joints is scaled by the largest factor in
-    [0, 1] that satisfies all limits. Gravity remains compensated, and the acceleration keeps its
-    direction. Clipping each joint separately would bend the tool's path and rotate the tool. A bias
-    that alone exceeds a limit is clipped.
+    [0, 1] for which all torques are within their limits. Gravity remains compensated, and the
+    acceleration keeps its direction. Clipping each joint separately would bend the tool's path and
+    rotate the tool. A bias that alone exceeds a limit is clipped.
 
     Args:
         bias: (n,) torques that compensate gravity and velocity terms [N m].

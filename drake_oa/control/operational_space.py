@@ -1,7 +1,8 @@
 """Operational-space inverse dynamics on arrays: torques for a commanded tool acceleration.
 
 With the arm's equation of motion M(q) dv/dt + h(q, v) = tau and the tool's spatial acceleration
-A = J dv/dt + dJ/dt v, a task acceleration A_c and a posture acceleration a_0 give (Khatib, IEEE J.
+A = J dv/dt + dJ/dt v, a commanded acceleration A_c of the tool and an acceleration a_0 of the
+joints toward a nominal posture give the joint acceleration dv/dt_c and the torques (Khatib, IEEE J.
 Robotics and Automation 3(1), 1987)
 
     dv/dt_c = a_0 + J# (A_c - dJ/dt v - J a_0),    tau = M dv/dt_c + h,
@@ -21,19 +22,22 @@ from drake_oa.robot.config import Gains
 def operational_space_drive(
     M: FloatArray, J: FloatArray, task: FloatArray, posture: FloatArray, gains: Gains
 ) -> FloatArray:
-    """Computes the joint torques for a commanded acceleration of the tool and a null-space posture.
+    """Computes joint torques for accelerations of the tool and, in its null space, of the joints.
 
     The arm's equation of motion is M dv/dt + h = tau, and J is the Jacobian of the tool. The
     torques are tau - h = M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0), to which the
-    controller adds gravity and velocity terms h.
+    controller adds gravity and velocity terms h. The inverse of J M^-1 J^T is damped near
+    singularities.
 
     Args:
         M: (n, n) mass matrix [kg m^2].
-        J: (6, n) Jacobian of the tool, rotation first.
-        task: (6,) task acceleration A_c - dJ/dt v: commanded acceleration A_c of the tool without
-            its bias [rad/s^2, m/s^2].
-        posture: (n,) posture acceleration a_0 [rad/s^2].
-        gains: gains, of which `max_effective_mass` and `rotation_length` are used.
+        J: (6, n) Jacobian of the tool's spatial velocity in the world frame, rotation first.
+        task: (6,) A_c - dJ/dt v in the world frame, with the commanded acceleration A_c of the tool
+            and joint velocities v, rotation first [rad/s^2, m/s^2].
+        posture: (n,) acceleration a_0 of the joints toward the nominal posture [rad/s^2].
+        gains: gains, of which those of the damping are used: `max_effective_mass`, the effective
+            mass of the tool above which a direction is damped [kg], and `rotation_length`, the
+            length that converts rotations to distances [m].
 
     Returns:
         (n,) torques tau - h [N m]; not finite if an argument is not.
@@ -54,9 +58,9 @@ def damped_task_force(
     near singularities.
 
     A is the commanded spatial acceleration of the tool, J its Jacobian and M the mass matrix. Let
-    u_i and w_i be eigenvectors and eigenvalues of S (J M^-1 J^T) S, where S multiplies angles by a
-    length. w_i is the inverse of the effective mass in direction u_i. The damped inverse is S sum_i
-    u_i u_i^T / (w_i + mu_i) S with
+    u_i and w_i be eigenvectors and eigenvalues of S (J M^-1 J^T) S, where the diagonal matrix S
+    multiplies rotations by a length. w_i is the inverse of the effective mass in direction u_i. The
+    damped inverse is S sum_i u_i u_i^T / (w_i + mu_i) S with
 
         mu_i = w_0 (1 - w_i / w_0)^2 if w_i < w_0 = 1 / max_mass, else 0.
 
@@ -66,13 +70,14 @@ def damped_task_force(
     effective masses).
 
     Args:
-        inverse_inertia: (6, 6) inverse J M^-1 J^T of the tool's inertia matrix, rotation first.
-        acceleration: (6,) task acceleration A, rotation first [rad/s^2, m/s^2].
+        inverse_inertia: (6, 6) inverse J M^-1 J^T of the tool's inertia matrix in the world frame,
+            rotation first.
+        acceleration: (6,) acceleration A in the world frame, rotation first [rad/s^2, m/s^2].
         max_mass: effective mass above which a direction is damped [kg].
-        length: length that converts angles to distances [m].
+        length: length that converts rotations to distances [m].
 
     Returns:
-        (6,) spatial force, torque first [N m, N].
+        (6,) spatial force on the tool in the world frame, torque first [N m, N].
     """
     scale = np.repeat([length, 1.0], 3)
     eigenvalues, vectors = np.linalg.eigh(np.outer(scale, scale) * inverse_inertia)

@@ -62,8 +62,9 @@ class DistanceField(Frozen):
 
     The frame O of the grid has the world's axes and its origin at the first node. A node is
     occupied if its voxel contains a point, or if it is in the space behind the points that the
-    obstacle probably fills. Distances are negative inside the occupied space. Outside, a distance is at most
-    one voxel too large, and at most two voxels too small if voxels have the default edge of 1 cm.
+    obstacle probably fills. Distances are negative inside the occupied space. Outside, a distance
+    is at most one voxel too large, and at most two voxels too small if voxels have the default edge
+    of 1 cm.
 
     Attributes:
         p_WO: (3,) first node in the world, at the observation of the cloud [m].
