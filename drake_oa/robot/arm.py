@@ -9,10 +9,11 @@ where e is the rotation and translation to the next pose, damp is the damping, a
 joint displacement in the null space. The present and the next nominal posture are g and g', and k
 (`pull`) is the fraction of the distance to g that is corrected per pose. A first step follows the
 nominal posture in the null space; corrective steps with l = 0 reduce the remaining pose error. An
-arm of six joints has a null space at singularities only, where corrective steps do not undo the
-null-space motion of the first step. A joint that would exceed its limit is fixed at the limit, and
-the other joints perform the step. Inverse kinematics performs such steps from several seeds, with a
-damping that grows with the squared error (T. Sugihara, 2011).
+arm of six joints has a null space at singularities only. Its corrective steps have the damping of
+the first step, so that they do not undo the null-space motion there. A joint that would exceed its
+limit is fixed at the limit, and the other joints perform the step. Inverse kinematics performs such
+steps from several initial configurations, with a damping that grows with the squared error (T.
+Sugihara, 2011).
 """
 
 from __future__ import annotations
@@ -29,31 +30,37 @@ from drake_oa.common.compiled import compiled, kernel_arrays, leaf
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 
 PULL = 20.0
-"""Rate at which the arm approaches the nominal posture in its null space, relative to the duration
-of the motion [-]. At 20, the distance to the nominal posture decreases to 1 / e in 1 / 20 of the
-motion."""
+"""Rate at which the arm approaches the nominal posture in its null space, per normalized time (time
+over the duration of the motion) [-]. At 20, the distance to the nominal posture decreases to 1 / e
+in 1 / 20 of the motion."""
 _TRACKING_DAMPING, _CORRECTION_DAMPING = 1e-4, 1e-7
-"""Damping of two kinds of joint steps when the arm tracks a tool path [m^2]: of the first step to
-each tool pose, and of the corrective steps after it. At 1e-4, a joint of a singular arm moves by 1
-rad for an error of 1 cm."""
+"""Damping of two kinds of inverse-kinematics steps when an arm tracks a tool path [m^2]: of the
+first step to each tool pose, and of the corrective steps of an arm with more than six joints. At
+1e-4, an error of 1 cm moves the joints by at most 0.5 rad in a step, even at a singularity."""
 _MAX_CORRECTIONS, _POSE_TOLERANCE = 4, 1e-4
-"""Maximum number of corrective joint steps per tool pose of a tracked path, and pose error of the
-tool at which these steps end [m, rad]."""
+"""Maximum number of corrective inverse-kinematics steps per tool pose of a tracked path, and pose
+error below which these steps end (largest element of the tool's rotation vector [rad] and
+translation [m] to the pose)."""
 _MAX_STEP_ERROR, _MAX_JUMP = 0.25, 1.0
-"""Largest reduction of the pose error at one pose of a tracked path [m, rad], and motion of a joint
-above which the pose counts as out of reach [rad]: such steps lead to another branch of the inverse
-kinematics."""
+"""Limits at one pose of a tracked path: pose error to which a larger one is scaled down before the
+inverse-kinematics step (largest element of the tool's rotation vector [rad] and translation [m] to
+the pose), and displacement of a joint above which the pose counts as out of reach [rad]. Such a
+displacement leads to another branch of the inverse kinematics."""
 _OUT_OF_REACH = 1e-3
-"""Pose error of the tool above which a pose of a tracked path counts as out of reach if the joint
-steps do not reduce the error [m, rad]."""
+"""Pose error from which a pose of a tracked path counts as out of reach if the inverse-kinematics
+steps do not reduce the error (largest element of the tool's rotation vector [rad] and translation
+[m] to the pose)."""
 _MAX_STEPS, _IK_TOLERANCE = 60, 1e-6
 """Maximum number of steps of the inverse kinematics from one initial configuration, and maximum
-pose error of the tool at a solution [m, rad]."""
+pose error at a solution (largest element of the tool's rotation vector [rad] and translation [m] to
+the target pose)."""
 _ERROR_DAMPING = 0.01
-"""Ratio of the damping of an inverse-kinematics step to the squared pose error of the tool [-]. Far
-from the target pose, the steps are thus damped more."""
+"""Ratio of the damping of an inverse-kinematics step to the squared norm of the pose error, which
+consists of the tool's rotation vector [rad] and translation [m] to the target pose [-]. Far from
+the target pose, the steps are thus damped more."""
 _MAX_PATH_ERROR = 5e-3
-"""Maximum pose error at which the arm still counts as following a path of the tool [m, rad]."""
+"""Maximum pose error at which the arm still counts as following a path of the tool (largest element
+of the tool's rotation vector [rad] and translation [m] to the desired pose)."""
 _MIN_DIFFERENCE = 0.1
 """Minimum difference of at least one joint at which two solutions of the inverse kinematics count
 as distinct [rad]."""
@@ -68,9 +75,9 @@ class Chain(NamedTuple):
             The last row is the pose of the tool frame E in the frame of the last joint.
         lower, upper: (n,) finite position limits of the joints [rad].
         speed: (n,) maximum speeds of the joints [rad/s].
-        reach: (n,) upper bound of the distance between each joint axis and the covering spheres
-            that the joint moves, radii included; 0 without spheres [m]. It bounds how far a
-            rotation of the joint moves the spheres.
+        reach: (n,) upper bound of the distance from each joint axis to any point of the spheres
+            that cover the bodies moved by the joint; 0 without spheres [m]. Times the rotation of
+            the joint, it bounds the displacement of these points.
         q_index: (n,) index of each joint in the positions of the plant.
     """
 
@@ -89,8 +96,8 @@ class Spheres(NamedTuple):
     Attributes:
         joint: (S,) index of the last joint that moves each sphere; -1: the sphere is fixed to the
             world.
-        p_JS: (S, 3) center of each sphere in the frame of its joint (see `joint`, frames of
-            `chain_poses`), or in the world for -1 [m].
+        p_JS: (S, 3) center of each sphere in the frame J of its joint, which moves with the joint
+            and has the joint axis as z axis; in the world for joint -1 [m].
         radius: (S,) radius of each sphere [m].
         of_tool: (S,) whether each sphere belongs to the tool or to the grasped object.
         first: (G + 1,) index of the first sphere of each group; the last element is S.
@@ -224,8 +231,8 @@ class Scratch(NamedTuple):
         X: (n + 2, 12) poses of the world, the joint frames and the tool, as computed by
             `chain_poses`.
         J, JJ: (6, n) Jacobian J of the tool; (6, 6) product J J^T plus damping.
-        e, b: (6,) pose error of the tool (`pose_error`); (6,) right-hand side of a step's linear
-            equations.
+        e, b: (6,) pose error of the tool, that is, rotation [rad] and translation [m] to the target
+            pose in the world; (6,) right-hand side of a step's linear equations.
         null_step, dq: (n,) desired joint displacement l in the null space [rad]; (n,) joint
             displacement of the step [rad].
         q_before: (n,) configuration before the steps to a tool pose [rad].
@@ -265,8 +272,8 @@ def chain_poses(q: FloatArray, X_PJ: FloatArray, X: FloatArray) -> None:
 
     Args:
         q: (n,) configuration [rad].
-        X_PJ: (n + 1, 4, 4) pose of each joint frame, at joint angle 0, in the previous one, as in
-            `Chain`.
+        X_PJ: (n + 1, 4, 4) pose of each joint frame, at joint angle 0, in the previous one (the
+            first in the world), and of the tool frame E in the last joint frame.
         X: (n + 2, 12) poses, set in place.
     """
     n = len(q)
@@ -303,7 +310,8 @@ def jacobian(X: FloatArray, J: FloatArray) -> None:
     the tool's angular velocity (first three rows) and velocity.
 
     Args:
-        X: (n + 2, 12) poses of the joint frames and of the tool, from `chain_poses`.
+        X: (n + 2, 12) poses of the world, the joint frames and the tool in the world, from
+            `chain_poses`: rotation matrix, row by row, and position [m].
         J: (6, n) Jacobian, set in place.
     """
     n = len(X) - 2
@@ -356,8 +364,9 @@ def pose_error(X: FloatArray, target: FloatArray, e: FloatArray) -> float:
     case.
 
     Args:
-        X: (n + 2, 12) poses from `chain_poses`; the last pose is that of the tool.
-        target: (12,) target pose: rotation matrix, row by row, and position [m].
+        X: (n + 2, 12) poses of the world, the joint frames and, in the last row, the tool in the
+            world, from `chain_poses`: rotation matrix, row by row, and position [m].
+        target: (12,) target pose in the world, in the same form.
         e: (6,) rotation [rad] and translation [m] in the world, set in place.
 
     Returns:
@@ -449,18 +458,20 @@ def follow(
     """Moves a configuration to the next tool pose of a path by damped least-squares steps, and
     tracks nominal postures in the null space.
 
-    A pose error above 0.25 m or 0.25 rad is reduced by that amount only. The configuration does not
-    change if the steps do not reduce the pose error, because the pose is out of reach, or if they
-    move a joint by more than 1 rad: near an extended elbow, steps would alternate between two
-    mirrored configurations. The poses of the joint frames and of the tool at the new configuration
-    are stored in `work.X`.
+    A pose error with an element above 0.25 m or 0.25 rad is scaled down to this maximum before the
+    step. The configuration does not change if the steps do not reduce the pose error, because the
+    pose is out of reach, or if they move a joint by more than 1 rad: near an extended elbow, steps
+    would alternate between two mirrored configurations. The poses of the joint frames and of the
+    tool at the new configuration are stored in `work.X`.
 
     Args:
         q: (n,) configuration, modified in place [rad].
-        target: (12,) next pose of the tool: rotation matrix, row by row, and position [m].
+        target: (12,) next pose of the tool in the world: rotation matrix, row by row, and position
+            [m].
         postures: (T, n) nominal postures along the path, which the arm tracks in its null space
             [rad].
-        row: index of the nominal posture for the next pose; 0: no motion in the null space.
+        row: index, in `postures`, of the nominal posture for the next pose; row - 1 is that of the
+            present pose. 0: no motion in the null space.
         pull: fraction of the distance to the nominal posture that is corrected in this step [-].
         chain: chain of the arm.
         work: working memory.
@@ -503,12 +514,12 @@ def follow(
 def reach(
     q: FloatArray, target: FloatArray, chain: Chain, near: FloatArray, pull: float
 ) -> FloatArray:
-    """Moves each of N configurations toward one pose of the tool by damped least-squares steps, as
-    the inverse kinematics requires.
+    """Moves each of N configurations toward one pose of the tool by at most 60 damped least-squares
+    steps, the iteration of the inverse kinematics.
 
     Args:
         q: (N, n) initial configurations, modified in place [rad].
-        target: (12,) pose of the tool: rotation matrix, row by row, and position [m].
+        target: (12,) pose of the tool in the world: rotation matrix, row by row, and position [m].
         chain: chain of the arm.
         near: (n,) nominal posture, which the arm tracks in its null space [rad].
         pull: fraction of the distance to the nominal posture that is corrected per step [-]. At 0,
@@ -540,7 +551,8 @@ def joint_margins(q_start: FloatArray, X_WE: FloatArray, pull: float, chain: Cha
 
     Args:
         q_start: (n,) configuration at the start of each path, also the nominal posture [rad].
-        X_WE: (N, T, 12) tool poses of N paths: rotation matrices, row by row, and positions [m].
+        X_WE: (N, T, 12) tool poses of N paths in the world: rotation matrices, row by row, and
+            positions [m].
         pull: fraction of the distance to the nominal posture that is corrected per pose [-].
         chain: chain of the arm.
 
@@ -573,7 +585,7 @@ def inverse_kinematics(
 
     Args:
         chain: chain of the arm.
-        X_WE: (12,) pose of the tool: rotation matrix, row by row, and position [m].
+        X_WE: (12,) pose of the tool in the world: rotation matrix, row by row, and position [m].
         near: (n,) configuration at which the first of several searches starts [rad].
         seeds: number of further searches, which start at random configurations.
         seed: seed of the random number generator.

@@ -71,9 +71,9 @@ class Gains:
     """Derivative gain of the error from the nominal posture, in the null space of the tool's motion
     [1/s]. Raising it increases the damping."""
     max_effective_mass: float = Field(default=100.0, gt=0.0, le=1e12)
-    """Effective mass of the tool in any direction above which the inverse of the Jacobian is
-    damped; it grows near singularities [kg]. Raising it gives exact tracking closer to
-    singularities, with faster joints."""
+    """Effective mass of the tool in any direction above which the inverse of the Jacobian is damped
+    [kg]. The effective mass grows near singularities. Raising the limit gives exact tracking closer
+    to singularities, with faster joints."""
     rotation_length: float = Field(default=0.25, gt=0.0, le=10.0)
     """Length that converts rotations of the tool to distances, so that rotational and translational
     directions of a task are comparable [m]. Raising it gives rotations more weight."""
@@ -147,7 +147,8 @@ class Robot:
     null: the limits of the model. Raising it allows faster motions."""
     finger_opening: float = Field(default=0.005, ge=0.0, le=0.04)
     """Position of each finger joint of the hand, at which the fingers are held [m]. Raising it
-    widens the hand. At a joint limit, which is 0 or the maximum, the simulation is slower."""
+    widens the hand. At a limit of the finger joints (0 or 0.04 m for the Panda), the simulation is
+    slower."""
     carried: list[Annotated[Box | Cylinder | Sphere, Tagged()]] = Field(default_factory=list)
     """Primitive shapes of an object that the robot has grasped, in the frame of the hand link H.
     The object counts as part of the tool; empty: no object."""

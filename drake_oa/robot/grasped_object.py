@@ -20,8 +20,8 @@ _FRICTION = 0.7
 
 
 def carried_links(robot: Robot) -> list[str]:
-    """Returns the names of the bodies of the grasped object, one per shape, as `add_carried` names
-    them in the plant.
+    """Returns the names of the bodies of the grasped object in the plant, one per shape: carried0,
+    carried1, and so on.
     """
     return [f"carried{row}" for row in range(len(robot.carried))]
 
@@ -66,7 +66,7 @@ def exclude_grasp_contacts(
 
     Args:
         plant: finalized plant with the grasped object.
-        scene_graph: scene graph of the plant, without Contexts yet.
+        scene_graph: scene graph of the plant, of which no Context has been created yet.
         robot: configuration of the robot; None: no effect.
     """
     if robot is None or not robot.carried:

@@ -236,8 +236,8 @@ inertial parameters."""
 
 
 def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
-    """Returns the plant of the robot alone, with its base welded to the world as in the simulated
-    station.
+    """Returns the plant of the robot alone, with its base link welded to the world at the pose
+    `robot.X_WB`.
 
     The model of each configuration is parsed once per process, and its plant is shared.
 
@@ -257,7 +257,8 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
 
 def _parse(robot: Robot, inertias: str) -> RobotPlant:
     """Builds the plant of a robot from its model file, and checks that `robot.q_seed` has a value
-    within the limits for each joint of the arm. Joints without limits are logged.
+    within the limits for each joint of the arm. Joints without a limit of speed or torque are
+    logged.
 
     Args:
         robot: configuration of the robot.
@@ -322,8 +323,9 @@ def tool_link_corners(robot: Robot) -> list[FloatArray]:
     (K_i, 3) in world axes [m].
 
     The corners are used to dilate obstacles by the tool. They are those of the collision geometry
-    of `robot.tool_links` and `robot.carried`, with the tool at `robot.rpy_WE` and the fingers
-    opened by `robot.finger_opening`. The corners of a rounded shape are those of its bounding box.
+    of `robot.tool_links` and `robot.carried`, with the tool in the orientation `robot.rpy_WE` and
+    the finger joints at `robot.finger_opening`. The corners of a rounded shape are those of its
+    bounding box.
 
     Raises:
         ScenarioError: for a link that the last joint of the arm does not move, or if no tool link

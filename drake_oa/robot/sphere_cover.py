@@ -36,37 +36,39 @@ _MAX_CENTERS = 3000
 """Maximum number of candidate sphere centers, from which the centers that cover a body are
 selected."""
 _MAX_SAMPLES = 12000
-"""Maximum number of sample points of a body that the spheres must cover."""
+"""Maximum number of lattice points in a body that the spheres must cover, in addition to sample
+points on the surfaces of its shapes."""
 _N_SURFACE_POINTS = 600
 """Approximate number of sample points on the surface of each shape of a body, which the spheres
 must cover."""
 _EDGE_SPACING = 2.7
-"""Ratio of the spacing of candidate sphere centers to the requested protrusion [-]; larger if there
-would be too many centers."""
+"""Ratio of the lattice spacing of candidate sphere centers, before it is divided by 1, 2 or 3, to
+the requested protrusion of the spheres from the body [-]. The spacing is larger if there would be
+too many centers."""
 _MAX_ITERATIONS = 4
-"""Maximum number of times that the spheres are selected again with uncovered points added to the
-sample points; then the spheres grow instead."""
+"""Maximum number of times that the spheres covering a body are selected again, with uncovered
+points of the body added to the sample points; then the spheres grow until they cover it."""
 _INITIAL_CELLS = 40
-"""Ratio of a body's longest extent to half the edge of the initial cells, with which the space in
-the body is proven to be covered [-]."""
+"""Ratio of a body's longest extent to half the edge of the initial cubic cells, into which the body
+is divided to prove that spheres cover it [-]."""
 _MAX_GAPS = 300
-"""Number of uncovered points above which the proof that spheres enclose a body stops, and the
-spheres are selected again."""
+"""Number of uncovered points of a body above which the proof that spheres enclose the body stops,
+and the spheres are selected again."""
 _MIN_CELL_RATIO = 1.0 / 16.0
-"""Ratio of half the edge of the smallest cells to the requested protrusion [-]. The space in a body
-is divided into such cells to prove that it is covered."""
+"""Ratio of half the edge of the smallest cubic cells, into which a body is divided to prove that
+spheres cover it, to the requested protrusion of the spheres from the body [-]."""
 _PROTRUSION_GROWTH = 1.2
-"""Factor by which the requested protrusion of the spheres grows while more than the maximum number
-of spheres would be required [-]."""
+"""Factor by which the requested protrusion of the spheres from a body grows while more than the
+maximum number of spheres would be required [-]."""
 _DIGITS = 9
-"""Number of decimals of lengths [m] in the cache key of a cover, so that rounding errors do not
-change the key."""
+"""Number of decimals of lengths [m] in the cache key of a body's sphere cover, so that rounding
+errors do not change the key."""
 _VERSION = 3
-"""Version of the covering algorithm, a part of the cache key of a cover; to be incremented when
-covers change."""
+"""Version of the algorithm that covers a body by spheres, a part of the cache key of a cover; to
+be incremented when covers change."""
 SHIPPED = package_file("package://drake_oa/panda/spheres.npz")
-"""File with the precomputed sphere covers of the Panda's bodies: the key of each body (`cover_key`)
--> (K, 4) centers and radii [m]."""
+"""File with the precomputed sphere covers of the Panda's bodies: cache key of a body's shapes ->
+(K, 4) centers in the frame of the body, and radii [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,19 +92,20 @@ def compute_cover(
     """Computes spheres that enclose the union of a body's shapes.
 
     1. Candidate spheres are centered on a lattice in the shapes. The radius is the depth of the
-       center plus the requested protrusion (exact for a convex shape).
+       center below the surface plus the requested protrusion. The sphere thus protrudes by this
+       distance from a convex shape, and at most by this distance from others.
     2. A greedy set cover selects few candidates that cover sample points in the shapes. Each
        selected sphere shrinks to the points that no other sphere covers.
-    3. The space between the points is proven to be covered, cell by cell: a cell is divided into
+    3. The space between the points is proven to be covered, by cubic cells: a cell is divided into
        eight unless a sphere contains the ball around the cell. Uncovered cell centers are added to
-       the sample points, and step 2 is repeated. The spheres grow over the last unproven cells.
+       the sample points, and step 2 is repeated. Finally the spheres grow until they contain the
+       unproven cells of the smallest size.
 
     If all shapes are spheres, these spheres are the cover.
 
     Args:
-        geometries: shapes of the body, at least one, at their poses in the body.
-        protrusion: requested protrusion of the spheres from the shapes; the proof may enlarge it
-            [m].
+        geometries: shapes of the body, at least one, at their poses in the frame of the body.
+        protrusion: requested protrusion of the spheres from the shapes; step 3 may enlarge it [m].
         max_spheres: maximum number of spheres; the protrusion grows if more would be required.
 
     Raises:
@@ -143,8 +146,8 @@ def compute_cover(
 
 
 def _ball_geometries(centers: FloatArray, radii: FloatArray) -> CollisionGeometries:
-    """Returns balls with centers (K, 3) and radii (K,) as collision geometries, for distance
-    computations [m].
+    """Returns balls with centers (K, 3) in the frame of a body and radii (K,) as collision
+    geometries, for distance computations [m].
     """
     X_BO = np.tile(np.eye(4), (len(centers), 1, 1))
     X_BO[:, :3, 3] = centers
@@ -163,7 +166,9 @@ def load_cover(
     seconds.
 
     Args:
-        geometries, protrusion, max_spheres: arguments of `compute_cover`.
+        geometries: shapes of the body, at least one, at their poses in the frame of the body.
+        protrusion: requested protrusion of the spheres from the shapes [m].
+        max_spheres: maximum number of spheres.
         message: message that is printed before the first computation, which may last seconds.
     """
 
@@ -181,8 +186,8 @@ def load_cover(
 
 @cache
 def _shipped() -> dict[str, FloatArray]:
-    """Reads the precomputed sphere covers of the Panda from the file `SHIPPED`: cache key -> (K, 4)
-    centers and radii [m].
+    """Reads the precomputed sphere covers of the Panda's bodies from the file `SHIPPED`: cache key
+    of a body's shapes -> (K, 4) centers in the frame of the body, and radii [m].
     """
     return read_arrays(SHIPPED)
 
@@ -190,8 +195,8 @@ def _shipped() -> dict[str, FloatArray]:
 def cover_key(
     geometries: Sequence[CollisionGeometry], protrusion: float, max_spheres: int = 200
 ) -> str:
-    """Computes the cache key of a sphere cover: a digest of the shapes, the protrusion, the maximum
-    number of spheres and the algorithm's version.
+    """Computes the cache key of a sphere cover: a digest (32 hexadecimal digits) of the body's
+    shapes, the requested protrusion [m], the maximum number of spheres and the algorithm's version.
     """
     digest = hashlib.sha256(repr((_VERSION, protrusion, max_spheres)).encode())
     for geometry in geometries:
@@ -222,8 +227,8 @@ def _make_cover(scene: CollisionGeometries, centers: FloatArray, radii: FloatArr
 
 
 def _distances(scene: CollisionGeometries, points: FloatArray) -> FloatArray:
-    """Computes the signed distance (N,) from each of N points (N, 3) to the nearest shape of a
-    body, negative inside [m].
+    """Computes the signed distance (N,) from each of N points (N, 3), in the frame of a body, to
+    the nearest shape of the body, negative inside [m].
     """
     return least_distances(scene, np.ascontiguousarray(points), 0.0, np.inf, -np.inf)
 
@@ -249,8 +254,8 @@ def _lattice(
 
 
 def _below_surface(geometry: CollisionGeometry, depth: float, count: int) -> FloatArray:
-    """Computes candidate sphere centers (K, 3) below the surface of a shape: surface points, moved
-    by a depth toward their mean [m].
+    """Computes candidate sphere centers (K, 3) below the surface of a shape, in the frame of the
+    body: surface points, moved by a depth toward their mean [m].
 
     The result is empty for spheres, capsules and boxes, because lattices in these shapes already
     contain such points.
@@ -282,13 +287,14 @@ def _select_balls(
     Args:
         geometries, scene: shapes of the body, as a sequence and as arrays.
         protrusion: requested protrusion of the balls from the shapes [m].
-        min_half: half the edge of the smallest cells with which the cover is proven [m].
+        min_half: half the edge of the smallest cubic cells that prove the cover [m]. Half their
+            diagonal is subtracted from the radii here, and added to them later.
         refinement: number of parts into which the lattice spacing is divided.
-        points: (N, 3) sample points [m].
+        points: (N, 3) sample points in the frame of the body [m].
 
     Returns:
-        Centers (K, 3), depths of the centers in the shapes (K,) and radii (K,) of candidate balls
-        [m], and the indices of the selected balls.
+        Centers (K, 3) in the frame of the body, depths of the centers in the shapes (K,), and radii
+        (K,) of candidate balls [m]; and the indices of the selected balls.
     """
     # Balls of radius 2 p at depth p below the edge of a box cover the edge if their spacing along
     # it is at most 2 sqrt(2) p.
@@ -383,8 +389,8 @@ def _enlarge(
 def _sample_shapes(
     geometries: Sequence[CollisionGeometry], scene: CollisionGeometries, protrusion: float
 ) -> FloatArray:
-    """Samples points (N, 3) on the surface and in the interior of a body's shapes, which the
-    spheres of a cover must contain [m].
+    """Samples points (N, 3) on the surface and in the interior of a body's shapes, in the frame of
+    the body, which the spheres of a cover must contain [m].
     """
     step = max(protrusion / 3.0, _lattice_step(geometries, 7 * _MAX_SAMPLES))
     while True:
@@ -430,8 +436,8 @@ def _find_gaps(
         max_gaps: number of uncovered cell centers above which the search stops.
 
     Returns:
-        Centers (M, 3) of the unproven cells and half their edge, at most `min_half` [m]. If the
-        search stops early: centers that are not covered, and inf.
+        Centers (M, 3) of the unproven cells in the frame of the body, and half their edge, at most
+        `min_half` [m]. If the search stops early: cell centers that no ball contains, and inf.
     """
     corners = np.concatenate(
         [geometry.placed(outline_corners(geometry)) for geometry in geometries]

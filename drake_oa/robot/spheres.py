@@ -36,10 +36,11 @@ _MAX_CLUSTER_SIZE = 8
 sphere."""
 _N_SAMPLES = 2000
 """Number of random configurations at which each pair of bodies is tested for collision, to find
-pairs that are always in contact."""
+pairs that are always in contact, and the allowed overlap of the spheres of other pairs."""
 _LOW_QUANTILE = 0.05
-"""Quantile of the difference between shape distance and sphere distance of two bodies, from which
-the allowed overlap of their spheres is computed [-]."""
+"""Level of a quantile of the difference between two distances of a pair of bodies, that of their
+exact shapes minus that of their covering spheres, over random configurations [-]. The allowed
+overlap of the spheres is computed from this quantile."""
 _MAX_SPHERES = 200
 """Maximum number of spheres that cover one body; their protrusion from the body grows if more would
 be required."""
@@ -53,8 +54,8 @@ _CONTACT_FRACTION = 0.95
 """Minimum fraction of the sampled configurations with contact between two bodies at which the
 bodies count as always in contact, so that their pair is ignored [-]."""
 _OVERLAP_FRACTION = 0.02
-"""Minimum fraction of the sampled configurations with overlapping spheres, but no contact, of two
-bodies at which this overlap is allowed [-]."""
+"""Minimum fraction of the sampled configurations in which the covering spheres of two bodies
+overlap, but not their exact shapes, at which an overlap of the spheres is allowed [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,9 @@ class ArmSpheres(Frozen):
 
 @compiled
 def sphere_centers(chain: Chain, spheres: Spheres, q: FloatArray) -> FloatArray:
-    """Computes world positions (T, S, 3) of an arm's spheres at configurations (T, n) [m]."""
+    """Computes the centers (T, S, 3) [m] of the S spheres that cover an arm, in the world, at T
+    configurations (T, n) [rad].
+    """
     X_WJ = np.empty((q.shape[1] + 2, 12))
     p_WS = np.empty((len(q), len(spheres.joint), 3))
     for row in range(len(q)):
@@ -101,7 +104,7 @@ def make_arm_spheres(
         q: (nq,) positions; joints that do not move the tool frame, such as finger joints, are fixed
             at these positions [rad, m].
         tool_links: names of the bodies of the tool and of grasped objects.
-        parameters: maximum protrusions of the spheres.
+        parameters: protrusions of the spheres from the surfaces of links, tool and fixed bodies.
 
     Raises:
         ValueError: if no link moved by the joints has collision geometry, a joint between base and
@@ -175,14 +178,15 @@ def _assemble_spheres(
     pairs: list[tuple[int, int]],
 ) -> Spheres:
     """Assembles the covers of all bodies to the arrays `Spheres`, with centers in the frames of the
-    joints, ordered by clusters.
+    joints, ordered by clusters (sets of at most eight neighboring spheres of a body).
 
     Args:
         covers: spheres of each body, which form a group, in the frame of the body.
-        X_JB: (4, 4) pose of each group's body in the frame of its joint.
+        X_JB: (4, 4) pose of each group's body in the frame of the last joint that moves it, or in
+            the world for a fixed body.
         joint: (G,) index of the last joint that moves each group; -1: the group is fixed to the
             world.
-        is_tool: (G,) whether a group belongs to the tool.
+        is_tool: (G,) whether each group belongs to the tool or to the grasped object.
         pairs: indices of two groups that can collide with each other.
     """
     centers, radii, clusters, sizes = [], [], [], [0]
@@ -257,8 +261,9 @@ def _filter_pairs(
 
     Random configurations are sampled, as in MoveIt's setup assistant. If the spheres of a pair
     overlap at a configuration, Drake's SceneGraph computes the distance of the exact shapes. The
-    allowance is positive only for a pair whose spheres often overlap without contact. With the
-    difference delta between shape distance and sphere distance at these configurations, it is
+    allowance is positive only for a pair whose spheres often overlap without contact of the shapes.
+    With delta, the distance of the exact shapes minus the distance of the spheres at these
+    configurations, it is
 
         max(0, min delta - (5 % quantile of delta - min delta))
 
