@@ -8,8 +8,9 @@ In:  robot_state (2m,) [rad, m, rad/s, m/s]; desired motion of the tool; desired
      [rad, rad/s]; policy_state `PolicyState`; motion `PlannedMotion`, the verified motion;
      collision_scene_W `CollisionScene` in the world W [m]; free_space_W `FreeSpace`.
 Out: desired_joint_state (2n,) [rad, rad/s] and desired_joint_acceleration (n,) [rad/s^2] for
-     `JointInverseDynamics`; speed_scale in [0, 1] and evasion_velocity (3,) [m/s] for
-     `DmpIntegrator`; supervision `Supervision`.
+     `JointInverseDynamics`. For `DmpIntegrator`: speed_scale, the fraction of full speed in [0, 1],
+     and evasion_velocity (3,), the velocity in the world that moves the desired position to the
+     tool of a stuck arm [m/s]. supervision `Supervision`: run, slow, hold or stop, and the reason.
 
 System
     MotionGuard   commands in steps of 8 ms; one decision per observation
@@ -17,13 +18,15 @@ System
 Method
     While no contact is predicted on the verified motion at full speed, the arm follows it, with the
     tool at the desired pose. Otherwise a decision compares it with slower motions and with evasive
-    maneuvers. A maneuver is a joint trajectory of two legs over 1.34 s, among obstacles at constant
-    velocity. The phase of the movement primitive rests during a maneuver. Old observations and
-    saturated torques slow the motion down. A contact, detected by the joint error, restarts the
-    command at the measured configuration.
+    maneuvers. A maneuver is a joint trajectory of two legs; in a leg, every joint moves to a target
+    and rests there. It is predicted over 1.34 s, among obstacles at constant velocity. The phase of
+    the movement primitive rests during a maneuver. Old observations and saturated torques slow the
+    motion down. A contact, detected by the joint error, restarts the command at the measured
+    configuration.
 
 Modules: `motion_guard` (system), `maneuvers` (decision), `joint_motions` (kernels of joint
-trajectories), `passive_safety` (claims that limit the speed), `supervision` (speed scale).
+trajectories), `passive_safety` (limits of the speed toward moving obstacles and unobserved space),
+`supervision` (speed scale).
 
 Configuration: `config`, the block `guard` of a scenario.
 

@@ -43,8 +43,9 @@ class GuardParameters:
     error. The command then restarts from the measured configuration. Raising it avoids false
     contacts, but detects contacts later."""
     contact_time: float = Field(default=0.5, ge=0.0, le=60.0)
-    """Time after a contact during which evasive maneuvers move no point of the arm faster than
-    `v_unseen` [s]. Raising it makes the arm return more slowly."""
+    """Time after a contact during which the verified motion (checked by simulation) is held, and
+    maneuvers move no point of the arm faster than `v_unseen`, the maximum speed toward unobserved
+    space [s]. Raising it makes the arm return more slowly."""
     obstacle_speed: float = Field(default=0.0, ge=0.0, le=10.0)
     """Maximum speed of obstacles that the checks of passive motion safety assume [m/s]; 0: no
     checks. With these checks, a part of the arm that an obstacle may reach at this speed is at rest
@@ -52,7 +53,8 @@ class GuardParameters:
     speed near unobserved space."""
     v_unseen: float = Field(default=0.25, gt=0.0, le=2.0)
     """Maximum speed of any point of the arm toward unobserved space, checked if `obstacle_speed` is
-    not 0, and in maneuvers after a contact [m/s]. Raising it makes the arm faster there."""
+    not 0; also its maximum speed in any direction in maneuvers after a contact [m/s]. Raising it
+    makes the arm faster in both cases."""
     stale_frames: float = Field(default=2.5, ge=1.0, le=1e6)
     """Age of the last observation, in periods between camera images, above which the motion of the
     arm slows down [-]. Above the age `policy.max_observation_age` the motion is held. Raising it

@@ -29,8 +29,8 @@ _VELOCITY_DAMPING = 1e-4
 """Damping of the differential inverse kinematics that computes joint velocities from the desired
 tool velocity [m^2]."""
 _CONTACT_DEPTH = 0.03
-"""Depth of penetration at which the cost of a predicted contact is twice that of a contact of depth
-0 [m]."""
+"""Violation of the required clearance at which the cost of a predicted contact is twice that of a
+violation of 0 [m]."""
 _LIMIT_TOLERANCE = 1e-3
 """Violation of a joint limit that is tolerated in predicted trajectories as an interpolation error
 [rad]. A larger violation counts as a contact."""
@@ -55,8 +55,10 @@ def track(
     Args:
         chain: kinematics of the arm.
         q: (n,) current configuration [rad].
-        X_WE: (12,) current desired tool pose: rotation matrix, row by row, and position [m].
-        V_WE: (6,) mean desired tool velocity during the step: angular [rad/s], linear [m/s].
+        X_WE: (12,) current desired tool pose in the world: rotation matrix, row by row, and
+            position [m].
+        V_WE: (6,) mean desired tool velocity in the world during the step: angular [rad/s], linear
+            [m/s].
         posture: (2n,) nominal posture at the end of the step [rad], and its velocity [rad/s].
         step: duration of the step [s].
         rate: rate at which the null space converges to the nominal posture [1/s].
@@ -113,7 +115,8 @@ def advance_leg(
 
 
 _CONVERGENCE = 30.0
-"""Maximum rate at which `approach` reduces the error between the joints and a moving path [1/s]."""
+"""Maximum rate at which the error between the commanded joints and a moving joint-space path is
+reduced [1/s]."""
 
 
 def approach(
@@ -157,7 +160,7 @@ class Legs(NamedTuple):
     switch: FloatArray
 
     def rows(self, rows: IntArray | slice) -> Legs:
-        """Returns some of the maneuvers."""
+        """Returns the maneuvers at the given row indices, or in a slice of rows."""
         return Legs(*(array[rows] for array in self))
 
 
@@ -215,7 +218,9 @@ class MotionCosts(NamedTuple):
         near_moving  = integral of exp(-t / T) max(1 - d(t) / (margin + 0.1 m/s t), 0)^2 dt
         near_resting = integral of max(1 - d(t) / 30 mm, 0)^2 dt
 
-    where margin is the parameter `margin_moving` of the motion guard.
+    where margin is the parameter `margin_moving` of the motion guard. Links that are closer to each
+    other than required also count as contact, with their margin as d, and so does a joint more than
+    1e-3 rad beyond its limit, with d = -D.
 
     Attributes:
         contact: cost of the first contact [s]; 0: no contact.
@@ -237,9 +242,10 @@ def evaluate_motions(
 
     Args:
         resting: collision model with the clearances required from resting obstacles and between
-            links; -inf for moving obstacles.
+            links; -inf (no requirement) for moving obstacles.
         moving: collision model with the clearances required from moving obstacles; -inf for others.
-        q: (N, T, n) configurations, the first one a step after `moving.now` [rad].
+            Its time `moving.now` is the start of the trajectories.
+        q: (N, T, n) configurations, the first one a step after the start [rad].
         step: time between two configurations [s].
         margin: distance beyond the clearance required from moving obstacles within which proximity
             is penalized at time 0 [m].
@@ -259,16 +265,21 @@ def _evaluate_some(
     part: int, parts: int, resting: ArmCollisionModel, moving: ArmCollisionModel, q: FloatArray,
     step: float, margin: float, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Evaluates the trajectories part, part + parts, ... of `evaluate_motions`, which are one
-    thread's share.
-
-    Writes the four fields of `MotionCosts` and the number of checked configurations into the
-    columns of out (N, 5).
+    """Computes the costs of contact and proximity of the trajectories part, part + parts, ..., the
+    work of one thread.
 
     Args:
-        part, parts: index of the thread's share, and number of shares.
-        resting, moving, q, step, margin: arguments of `evaluate_motions`.
-        out: (N, 5) costs, initially 0.
+        part, parts: index of the thread, and number of threads.
+        resting: collision model with the clearances required from resting obstacles and between
+            links; -inf (no requirement) for moving obstacles.
+        moving: collision model with the clearances required from moving obstacles; -inf for others.
+        q: (N, T, n) configurations, the first one a step after the time `moving.now` [rad].
+        step: time between two configurations [s].
+        margin: distance beyond the clearance required from moving obstacles within which proximity
+            is penalized at time 0 [m].
+        out: (N, 5) results, initially 0, set in place: costs of contact and of proximity to moving
+            and to resting obstacles, time of the first contact [s], and number of checked
+            configurations.
     """
     chain, spheres = resting.chain, resting.spheres
     T, n = q.shape[1:]

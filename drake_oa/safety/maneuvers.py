@@ -2,18 +2,20 @@
 moving obstacles.
 
 The verified motion is the joint motion q(s) over normalized time s that MotionVerifier predicted
-and checked. Each decision compares joint trajectories over a horizon of 1.34 s. They are the
-verified motion at several speeds (follow, slow, wait), and evasive maneuvers of two legs: brake,
-return to the verified motion, random targets and via points, and refinements of the best of these.
-The trajectory with the least cost
+and checked by simulation. Each decision compares joint trajectories over a horizon of 1.34 s. They
+are the verified motion at several speeds (follow, slow, wait), and evasive maneuvers of two legs:
+brake, return to the verified motion, random targets and via points, and refinements of the best of
+these. The trajectory with the least cost
 
     J = w_c contact + w_m near_moving + w_r near_resting + w_o turn + delay
 
 is selected, with hysteresis for the current maneuver. `contact`, `near_moving` and `near_resting`
-are costs of `joint_motions.MotionCosts`. `turn` is the integral of the angle between the tool and
-its orientation on the verified motion. `delay` is the time lost on this motion. Obstacles move at
-constant velocity, and the margin to them grows with time. Every trajectory ends at rest: the phase
-of a followed motion stops within `hold_time`, and each leg of a maneuver ends at its target.
+are the costs of the first contact and of proximity to moving and resting obstacles (equations in
+`joint_motions.MotionCosts`). `turn` is the integral of the angle between the tool and its
+orientation on the verified motion. `delay` is the time lost on this motion. Obstacles move at
+constant velocity, and the margin to them grows with time. Every trajectory can come to rest: the
+phase of a followed motion can stop within `policy.hold_time`, and in each leg of a maneuver every
+joint moves to a target and rests there.
 """
 
 from __future__ import annotations
@@ -57,8 +59,9 @@ _FOLLOW_OPTIONS: tuple[tuple[Action, float], ...] = (
 """Actions of the motion guard that follow the verified motion (checked by simulation), each with
 its speed scale: the fraction of full speed."""
 HORIZON = 1.4
-"""Time over which the motion guard predicts the trajectories of the arm and of obstacles [s],
-rounded to whole steps between two samples: 1.34 s with steps of 8 ms."""
+"""Approximate time over which the motion guard predicts the trajectories of the arm and of
+obstacles [s]. The interval of the 28 samples is rounded to whole time steps: with steps of 8 ms it
+is 48 ms, and the predicted time 1.34 s."""
 _SAMPLES = 28
 """Number of configurations at which each predicted trajectory of the arm is checked for contact and
 proximity [-]."""
@@ -91,13 +94,14 @@ _DISTANCE_SLACK = 2e-3
 no trajectory starts in contact [m]. Also the tolerance of the maximum angle by which a maneuver
 turns the tool [rad]."""
 _ROUNDING = 1e-6
-"""Amount by which a required distance is below the present one, because of rounding errors [m]."""
+"""Minimum amount by which a distance required in a maneuver is below the distance in the current
+configuration, so that rounding errors cause no contact [m]."""
 _VERIFIED_SLACK = 5e-3
 """Amount by which distances required from resting obstacles are below those along the verified
-motion (checked by simulation), so that it is no contact [m]."""
+motion (checked by simulation), so that this motion does not count as a contact [m]."""
 _SELF_CLEARANCE = 5e-3
-"""Required distance between links of the arm in a maneuver, unless the present configuration or the
-verified motion (checked by simulation) has less [m]."""
+"""Required distance between links of the arm in a maneuver, unless they are closer to each other in
+the current configuration or on the verified motion (checked by simulation) [m]."""
 _MAX_NEARNESS = 0.02
 """Maximum cost `near_moving` of proximity to moving obstacles at which the verified motion (checked
 by simulation) is followed without comparing alternatives [s]."""
@@ -107,25 +111,31 @@ decays while the arm follows this motion [1/s]."""
 _LIMIT_MARGIN = 0.03
 """Minimum distance of the target configurations of maneuvers from the joint limits [rad]."""
 _SPREADS = ((0.15, 0.4, 0.9), (0.4, 1.0), (0.2, 0.5), (0.0,))
-"""Standard deviations [rad], drawn at random, of the joints in the targets of four kinds of random
-maneuvers: near the configuration of rest in all joints or in some, near the motion from there to
-the verified motion (checked by simulation), anywhere within the limits."""
+"""Standard deviations of the joint offsets in the targets of four kinds of random maneuvers [rad];
+one value of a kind is drawn for each maneuver.
+
+Offsets of the first kind (in all joints) and the second (in some) are relative to the configuration
+in which the arm comes to rest, those of the third to a point on the way from there to the verified
+motion (checked by simulation). Targets of the fourth are anywhere within the joint limits."""
 _NO_LEGS = Legs(np.zeros((0, 2, 0)), np.zeros((0, 2, 0)), np.zeros(0))
-"""No maneuvers."""
+"""Empty set of maneuvers, which are joint motions of two legs each."""
 _N_PARENTS = 8
 """Number of maneuvers of least cost of which the motion guard evaluates random variations, too [-].
 """
 _RETURN_FRACTIONS = (1.0, 0.6, 0.3)
 """Fractions of the highest speed at which candidate maneuvers return to the verified motion
-(checked by simulation), besides the slow return [-]."""
+(checked by simulation) [-]. In a further candidate, no point of the arm begins to return faster
+than 0.9 `v_unseen`, with the maximum speed `v_unseen` toward unobserved space."""
 _SLOW_FRACTION = 0.9
-"""Fraction of `v_unseen` at which the fastest point of the arm follows the verified motion (checked
-by simulation) or begins to return to it, in the candidates for unobserved space; less than 1, since
-the speed changes on the way [-]."""
+"""Ratio of the speed of the arm's fastest point to `v_unseen`, the maximum speed toward unobserved
+space, in two slow candidates: to follow the verified motion (checked by simulation), and to return
+to it [-]. The ratio holds at the start; it is less than 1, since the speed changes on the way."""
 _MAX_CLAIM_WORK = 42
-"""Number of checks for passive motion safety, as `LatencyModel.claim` counts them, after which a
-decision checks only braking and the slow return to the verified motion (checked by simulation), so
-that its simulated latency is below the period of 33 ms [-]."""
+"""Number of checks for passive motion safety after which a decision checks only braking and the
+slow return to the verified motion (checked by simulation), so that its simulated compute latency is
+below the period of 33 ms [-].
+
+A check of the speed toward moving obstacles counts as one, toward unobserved space as three."""
 _VIOLATION_COSTS: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
 """Additional cost of a trajectory that violates claim "A" or "B" of passive motion safety [s]; less
 than the cost of any predicted contact.
@@ -160,8 +170,9 @@ class GuardDecision(Frozen):
         contact: time of the first contact predicted on the verified motion at full speed [s]; inf:
             no contact.
         obstacle: label of the moving obstacle that is nearest to the arm; "": no obstacle moves.
-        claim: claim "A" or "B" of passive motion safety that a trajectory of less cost violates;
-            "": none.
+        claim: claim of passive motion safety that the trajectory of least cost violates, before
+            costs of violations are added: "A" (limit of the speed toward moving obstacles), "B"
+            (toward unobserved space), or "" (none).
     """
 
     action: Action = "follow"
@@ -182,8 +193,10 @@ class GuardDecision(Frozen):
 
     @property
     def claim_number(self) -> int:
-        """Index, in `CLAIMS`, of the claim of passive motion safety that limits the speed, for the
-        output port guard_claim of MotionGuard.
+        """Number of the claim of passive motion safety that limits the speed, for the output port
+        guard_claim of MotionGuard.
+
+        0: none; 1: claim "A", toward moving obstacles; 2: claim "B", toward unobserved space.
         """
         return CLAIMS.index(self.claim)
 
@@ -201,22 +214,24 @@ class GuardInputs(Frozen):
     becomes active.
 
     The verified motion is the joint motion q(s) over normalized time s that MotionVerifier
-    predicted and checked.
+    predicted and checked by simulation.
 
     Attributes:
         begin: time at which the decision becomes active [s].
         q, v: (n,) predicted positions [rad] and velocities [rad/s] of the joints at `begin`.
-        q_path: (n,) configuration on the verified motion at the current phase [rad].
+        q_path: (n,) configuration on the verified motion at the current phase of the movement
+            primitive [rad].
         is_on_path: whether the arm follows the verified motion, or rests on it.
-        s: normalized time at which the arm is predicted to be where it is at `begin`
-            (`time_on_path`).
+        s: predicted normalized time on the verified motion at `begin`; if the arm is late on this
+            motion, that of the sample nearest to q.
         rate, full_rate: ds/dt at the current and at full speed [1/s].
         motion: verified motion; without configurations: no motion is verified.
         scene: collision scene, all collision geometry except the robot's.
-        speed_fraction: fraction of the maneuvers' speed limits that may be used.
+        speed_fraction: fraction of the maneuvers' joint speed limits that may be used; 1 unless a
+            contact occurred a short time ago.
         decision_count: number of previous decisions, which seeds the random candidates.
         free_space: space observed as free; None: all space outside collision geometry.
-        may_move: (K,) whether each geometry of the scene moves, or paused a short time ago.
+        may_move: (K,) whether each geometry of the scene moves, or moved less than 2 s ago.
     """
 
     begin: float
@@ -236,11 +251,11 @@ class GuardInputs(Frozen):
 
 
 def time_on_path(motion: PlannedMotion, q: FloatArray, s: float) -> float:
-    """Returns the normalized time at which the arm is predicted to be at a configuration.
+    """Returns the normalized time at which the verified motion passes a configuration of the arm.
 
-    An arm may be late on its path, so that it is there at another time than predicted. The result
-    is then the time of the nearest sample of the motion, if this sample is less than half as far
-    away as the configuration at the predicted time.
+    It is the predicted time s, unless the arm is late on its path. An arm counts as late if the
+    nearest sample of the motion is less than half as far away as the configuration at s, by the
+    maximum joint difference. The result is then the normalized time of this sample.
 
     Args:
         motion: verified motion (checked by simulation); without configurations, the result is s.
@@ -274,10 +289,12 @@ class GuardSearch:
 
         Args:
             chain, arm_spheres: kinematics of the arm, and spheres that cover it.
-            config: configuration of the policy: time step, hold time.
+            config: configuration of the movement primitive, of which the time step and the time for
+                slowing from full speed to rest (`hold_time`) are used.
             period: time between decisions [s].
             padding: position uncertainty of moving obstacles, added to their clearance [m].
-            turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: no limit.
+            turn_limit: maximum angle by which a maneuver turns the tool away from its orientation
+                on the verified motion [rad]; None: no limit.
             parameters: parameters of the search.
         """
         self._turn_limit = math.pi if turn_limit is None else turn_limit
@@ -305,7 +322,7 @@ class GuardSearch:
         (checked by simulation) at some speed, or a maneuver.
 
         Args:
-            previous: active decision, whose maneuver is one of the candidates.
+            previous: active decision, whose maneuver, if any, is one of the candidates.
             inputs: inputs of the new decision.
         """
         distance = self._verified_self_distance(inputs.motion)
@@ -361,7 +378,7 @@ class GuardSearch:
         cost: FloatArray,
     ) -> GuardDecision:
         """Selects the trajectory of least cost, after adding the costs of violated claims of
-        passive motion safety.
+        passive motion safety (limits of the speed toward moving obstacles and unobserved space).
 
         Args:
             model: collision models of the decision.
@@ -400,16 +417,16 @@ class GuardSearch:
         return replace(selected, claim=claim, obstacle=model.nearest)
 
     def _find_violated_claim(self, q: FloatArray, inputs: GuardInputs) -> Claim:
-        """Finds the claim of passive motion safety that a trajectory violates if the arm brakes
-        after one decision period.
+        """Finds the claim of passive motion safety that the arm violates if it follows a trajectory
+        for one decision period and then brakes.
 
         Args:
             q: (T, n) configurations along the trajectory [rad].
             inputs: inputs of the decision.
 
         Returns:
-            "A" or "B", defined in the module `passive_safety`; "": no claim is violated, or checks
-            are switched off.
+            "A": the arm approaches a moving obstacle that may reach it; "B": a point of the arm is
+            too fast toward unobserved space; "": no claim is violated, or checks are switched off.
         """
         p, m = self._parameters, self._until_next
         if p.obstacle_speed == 0.0:
@@ -440,8 +457,10 @@ class GuardSearch:
         return evaluate_motions(model.resting, model.moving, q, self._interval, margin)
 
     def _obstacle_cost(self, model: _GuardModel, q: FloatArray) -> FloatArray:
-        """Computes the weighted costs (N,) [s] of contact and proximity of N trajectories: the
-        first three terms of J in the module docstring.
+        """Computes the weighted costs (N,) [s] of contact and proximity of N trajectories.
+
+        The cost is w_c contact + w_m near_moving + w_r near_resting, with the costs of the first
+        contact and of proximity to moving and resting obstacles.
 
         Args:
             model: collision models of the decision.
@@ -452,8 +471,8 @@ class GuardSearch:
         return cost + _RESTING_WEIGHT * costs.near_resting
 
     def _maneuver_cost(self, model: _GuardModel, q: FloatArray) -> FloatArray:
-        """Computes the costs J (N,) [s] of N maneuvers; inf if a maneuver turns the tool beyond its
-        limit.
+        """Computes the costs (N,) [s] of N maneuvers: the sum of the costs of contact, proximity,
+        turning the tool, and delay; inf if a maneuver turns the tool beyond its limit.
 
         Args:
             model: collision models of the decision.
@@ -466,7 +485,13 @@ class GuardSearch:
         return np.where(angle[:, 1:].max(axis=1) > limit, math.inf, cost)
 
     def _delay(self, q: FloatArray, inputs: GuardInputs) -> FloatArray:
-        """Computes the term `delay` (N,) of the costs of N maneuvers [s].
+        """Computes the costs (N,) of the delay of N maneuvers, the time lost on the verified motion
+        (checked by simulation) [s].
+
+        With the time d_i(t) in which joint i can return to the verified motion at its maximum speed
+        in maneuvers, and the horizon H, the cost is
+
+            H + max_i d_i(H) + 0.3 mean_i d_i(H) + integral of max_i d_i(t) dt / (1 second)
 
         Args:
             q: (N, T, n) configurations along the maneuvers [rad].
@@ -499,12 +524,12 @@ class GuardSearch:
     # --- candidates ------------------------------------------------------------------------
 
     def _rates(self, inputs: GuardInputs, scale: float) -> FloatArray:
-        """Predicts the rates ds/dt (T,) of normalized time [1/s] while the verified motion (checked
-        by simulation) changes to a fraction of full speed.
+        """Predicts the rates ds/dt (T,) of normalized time [1/s] at the T samples of the horizon,
+        while the speed on the verified motion (checked by simulation) changes to a new value.
 
         Args:
             inputs: inputs of the decision, with the current rate.
-            scale: fraction of full speed, in [0, 1].
+            scale: new value of the speed, as a fraction of full speed, in [0, 1].
         """
         max_change = inputs.full_rate / self._hold_time * self._times
         target = scale * inputs.full_rate
@@ -582,7 +607,7 @@ class GuardSearch:
         leg.
 
         Args:
-            maneuvers: first candidates.
+            maneuvers: first candidates: the active maneuver, if any, and braking.
             inputs: inputs of the decision.
         """
         p, max_speed = self._parameters, self.speed * inputs.speed_fraction
@@ -616,7 +641,7 @@ class GuardSearch:
 
     def _slow_fraction(self, q: FloatArray) -> float:
         """Computes the fraction of the present speed at which no point of the arm is faster than
-        0.9 `v_unseen`; at most 0.9.
+        0.9 `v_unseen`, with the maximum speed `v_unseen` toward unobserved space; at most 0.9.
 
         Args:
             q: (2, n) configurations at the present speed, one time step apart [rad].
@@ -626,8 +651,8 @@ class GuardSearch:
         return _SLOW_FRACTION * min(1.0, self._parameters.v_unseen / max(point_speed, 1e-9))
 
     def _refine(self, legs: Legs, cost: FloatArray, inputs: GuardInputs) -> Legs:
-        """Generates random variations of the `_N_PARENTS` maneuvers of least cost, as further
-        candidates of a decision.
+        """Generates random variations of the eight maneuvers of least cost, as further candidates
+        of a decision.
 
         Args:
             legs: N candidate maneuvers.
@@ -646,7 +671,9 @@ class GuardSearch:
 
 
 def _evasion(legs: Legs, k: int) -> GuardDecision:
-    """Returns one of N maneuvers as a decision."""
+    """Returns maneuver k of N maneuvers, whose switch times are absolute [s], as a decision of the
+    motion guard with the action "evade".
+    """
     return GuardDecision("evade", 0.0, legs.target[k], legs.speed[k], float(legs.switch[k]))
 
 
@@ -674,17 +701,18 @@ def _sample_motion(motion: PlannedMotion) -> FloatArray:
 
 
 def achievable_distance(required: float, present: FloatArray) -> FloatArray:
-    """Computes the distances required in a maneuver, which are reduced where the arm is closer.
+    """Computes the distances between arm and obstacles, or between links, that are required in a
+    maneuver; they are reduced where the present distance is smaller.
 
     r(d) = min(r_0, max(d - 2 mm, min(d, r_0 / 2))): close to r_0, a maneuver may reduce the
     distance by 2 mm, but no sequence of maneuvers reduces it below r_0 / 2.
 
     Args:
         required: distance r_0 that is required if the present one is larger [m].
-        present: present distances d [m].
+        present: (...) present distances d [m].
 
     Returns:
-        Required distances r(d) [m].
+        (...) required distances r(d) [m].
     """
     least = np.minimum(present - _ROUNDING, 0.5 * required)
     return np.minimum(required, np.maximum(present - _DISTANCE_SLACK, least))
@@ -696,15 +724,15 @@ class _GuardModel:
 
     The arm is covered by spheres in groups, one group per body. The distance of group g to geometry
     k is d_gk(q), and protrusion_g is the distance by which the spheres extend beyond their body.
-    The required clearances are
+    The position uncertainty of moving obstacles is `padding`. The required clearances are
 
         resting:  min( r(d_gk(q_now)),
                        max( min over verified motion of d_gk - 5 mm, -protrusion_g ) )
         moving:   min( padding + 12 mm, d_gk(q_now) - 2 mm )
 
-    with r of `achievable_distance` for 4 mm, so that a maneuver never requires more than the
-    current configuration q_now or the verified motion (checked by simulation) achieves. The
-    requirement for the self-distance is reduced likewise, for 5 mm.
+    with r(d) = min(r_0, max(d - 2 mm, min(d, r_0 / 2))) for r_0 = 4 mm, so that a maneuver never
+    requires more than the current configuration q_now or the verified motion (checked by
+    simulation) achieves. The required distance between links is reduced likewise, from r_0 = 5 mm.
 
     Attributes:
         inputs: inputs of the decision.
@@ -725,7 +753,7 @@ class _GuardModel:
             chain, arm_spheres: kinematics of the arm, and spheres that cover it.
             inputs: inputs of the decision.
             padding: position uncertainty of moving obstacles [m].
-            verified_self_distance: minimum self-distance of the verified motion [m].
+            verified_self_distance: minimum distance between links along the verified motion [m].
         """
         self.inputs = inputs
         spheres, geometries = arm_spheres.arrays, inputs.scene.geometries

@@ -64,11 +64,12 @@ _NULL_SPACE_RATE = 20.0
 """Rate at which the null space of the arm converges to the nominal posture while the tool tracks
 the desired motion [1/s]."""
 _SHIFT_TIME = 0.1
-"""Time constant with which the desired position converges to the tool of an arm that cannot return
-to its motion [s]."""
+"""Time constant with which the desired position of the tool converges to its commanded position, if
+the arm cannot return to its motion [s]."""
 _SHIFT_TOLERANCE = 5e-4
-"""Distance within which the desired position no longer moves toward the tool of an arm that cannot
-return to its motion [m]. Replanning then has a fixed start."""
+"""Distance along each world axis within which the desired position of the tool no longer moves to
+its commanded position, if the arm cannot return to its motion [m]. Replanning then has a fixed
+start."""
 _PROGRESS_TIMEOUT = 1.0
 """Time without progress of a maneuver toward the verified motion (checked by simulation) after
 which the arm counts as stuck [s]."""
@@ -76,23 +77,23 @@ _MIN_PROGRESS = 0.02
 """Minimum decrease of the joints' deviation from the verified motion (checked by simulation) that
 counts as progress of a maneuver [rad]."""
 _MAX_WAIT = 5.0
-"""Maximum time for which an arm that cannot return to its motion waits for a new one, before it
-tries again [s]."""
+"""Maximum time for which an arm that cannot return to the verified motion (checked by simulation)
+waits for a new motion, before it tries again to return [s]."""
 _REST_SPEED = 0.01
 """Maximum joint speed at which an arm that cannot return to the verified motion (checked by
 simulation) counts as at rest [rad/s]."""
 _POSE_TOLERANCE = 0.03
-"""Maximum error between desired and actual tool pose at which an arm that was stuck may follow the
-desired motion again [m, rad]."""
+"""Maximum error between desired and commanded tool pose at which an arm that was stuck may follow
+the desired motion again: largest element of position [m] and rotation vector [rad]."""
 _FEEDBACK_FRACTION = 0.6
-"""Ratio of two thresholds that detect contact: that of the feedback torque, as a joint error, to
-that of the joint error [-]."""
+"""Ratio of two thresholds that detect contact [-]: that of the feedback torque, as the joint error
+at which the position gain alone gives this torque, to that of the joint error itself."""
 _MAX_PERIODS = 3.0
 """Number of periods without a newer decision of the motion guard after which the motion is held, or
 a maneuver is replaced by braking [-]."""
 _PAUSE = 2.0
-"""Time for which claim (A) of passive motion safety applies to an obstacle that has come to rest,
-because it may move again [s]."""
+"""Time for which an obstacle that has come to rest still counts as moving when the speed of the arm
+toward it is limited (claim (A) of passive motion safety), because it may move again [s]."""
 _VERBS = {"slow": "slows", "hold": "holds", "stop": "stops"}
 """Verbs of the actions slow, hold and stop in log messages."""
 
@@ -103,7 +104,7 @@ class GuardState(Frozen):
     `policy.period`.
 
     The verified motion is the joint motion q(s) over normalized time s that MotionVerifier
-    predicted and checked.
+    predicted and checked by simulation.
 
     Attributes:
         end: end time of the current step [s].
@@ -111,18 +112,18 @@ class GuardState(Frozen):
         acceleration: (n,) commanded joint acceleration during the step [rad/s^2].
         path: (2n,) joint positions [rad] and velocities [rad/s] on the verified motion at the end
             of the step.
-        shift_velocity: (3,) velocity that moves the desired position to the tool of a stuck arm
-            [m/s]; 0 otherwise.
+        shift_velocity: (3,) velocity in the world that moves the desired position to the tool of a
+            stuck arm [m/s]; 0 otherwise.
         pending: active decision of the guard, and the decision in progress.
         stuck_since: time since which the arm makes no progress toward the verified motion [s]; inf:
             it makes progress, or is on this motion.
         min_deviation: minimum joint deviation from the verified motion since `stuck_since` [rad].
-        expiry: time at which the active decision becomes too old [s].
+        expiry: time after which the active decision is too old, so that the arm comes to rest [s].
         slow_until: time until which, after a contact, maneuvers are slow and the verified motion is
             held [s].
         decision_count: number of decisions so far.
         supervision: state of the supervisor, which scales the speed of the motion.
-        last_moved: label of each geometry that moved less than `_PAUSE` ago -> stamp of the last
+        last_moved: label of each geometry that moved less than 2 s ago -> stamp of the last
             observation in which it moved [s].
     """
 
@@ -171,7 +172,9 @@ class GuardState(Frozen):
     @property
     def is_on_path(self) -> bool:
         """Whether the joint command follows the verified motion (checked by simulation), or rests
-        within 0.01 rad of it, with relative joint speeds of at most 0.1 rad/s.
+        within 0.01 rad of it while the arm is not stuck.
+
+        At rest, the joint speeds, absolute and relative to this motion, are at most 0.1 rad/s.
         """
         q, v = np.split(np.abs(self.x - self.path), 2)
         rests = max(self.speed, float(v.max())) <= REST_SPEED and q.max() <= ON_PATH_DEVIATION
@@ -223,7 +226,7 @@ class MotionGuard(LeafSystem):
 
     - robot_state: (2m,) positions and velocities of the robot's m joints [rad, m, rad/s, m/s]; the
       arm has n of these joints.
-    - policy_state: abstract `PolicyState` of the movement primitive.
+    - policy_state: abstract `PolicyState` of the movement primitive: its phase, speed and holds.
     - desired_position, desired_velocity: (3,) position and velocity of the tool point in the world
       frame [m, m/s].
     - desired_orientation: (4,) quaternion w, x, y, z of R_WE.
@@ -232,30 +235,31 @@ class MotionGuard(LeafSystem):
     - motion: abstract `PlannedMotion`, the verified motion: the joint motion q(s) over normalized
       time s that MotionVerifier predicted and checked.
     - collision_scene_W: abstract `CollisionScene`: collision geometry of everything but the robot.
-    - free_space_W (optional): abstract `FreeSpace`. Not connected: all space outside collision
-      geometry counts as free.
-    - demonstration (optional): abstract `Demonstration` that the motion imitates. Not connected:
-      the duration of the motion is the constructor's.
+    - free_space_W (optional): abstract `FreeSpace`: space that the cameras observed to be free. Not
+      connected: all space outside collision geometry counts as free.
+    - demonstration (optional): abstract `Demonstration` that the motion imitates, with its
+      duration. Not connected: the duration is the argument `duration` of the constructor.
     - torque_saturation (optional): (1,) 1 while a joint torque is at its limit, else 0. Not
       connected: never saturated.
     - stopping (optional): (1,) 1 while the controller brakes the arm because one of its inputs is
       not finite, else 0; the motion is then stopped. Not connected: never.
     - desired_joint_state: (2n,) commanded state of the arm's joints [rad, rad/s].
     - desired_joint_acceleration: (n,) commanded acceleration of the arm's joints [rad/s^2].
-    - speed_scale: (1,) speed scale for `DmpIntegrator`, in [0, 1].
+    - speed_scale: (1,) fraction of full speed at which `DmpIntegrator` advances, in [0, 1].
     - evasion_velocity: (3,) velocity in the world frame by which `DmpIntegrator` shifts its motion
       to the tool of a stuck arm [m/s]; 0 otherwise.
     - supervision: abstract `Supervision`: run, slow, hold or stop, and the reason.
     - decision: (2,) start time and simulated compute latency of the last decision [s].
     - path_state: (2m,) robot state with the arm on the verified motion at the current phase: the
       start of the predictions of `MotionVerifier` [rad, m, rad/s, m/s].
-    - tracking_error: (3,) desired minus actual position of the tool point [m].
-    - orientation_error: (3,) rotation vector from the actual to the desired orientation [rad].
-    - guard_action: (1,) index of the active decision's action in
-      `drake_oa.safety.maneuvers.ACTIONS`.
+    - tracking_error: (3,) desired minus actual position of the tool point in the world frame [m].
+    - orientation_error: (3,) rotation vector from the actual to the desired orientation of the
+      tool, in the world frame [rad].
+    - guard_action: (1,) action of the active decision: 0 follow the verified motion at full speed,
+      1 slow (follow it at reduced speed), 2 wait (rest on it), 3 evade, 4 brake.
     - guard_contact: (1,) time of the first contact predicted on the verified motion [s]; inf: none.
-    - guard_claim: (1,) index in `drake_oa.safety.passive_safety.CLAIMS` of the claim of passive
-      motion safety that limits the speed.
+    - guard_claim: (1,) claim of passive motion safety that limits the speed: 0 none, 1 claim (A)
+      about moving obstacles, 2 claim (B) about unobserved space.
 
     While no maneuver is active, a damped Gauss-Newton step in each step of the command places the
     tool at the desired pose, and the null space follows the nominal posture. Once per `period`,
@@ -263,18 +267,18 @@ class MotionGuard(LeafSystem):
     evasive maneuvers (joint trajectories of two legs). The phase of the movement primitive rests
     during a maneuver; afterwards the arm returns to the verified motion. An arm without progress
     for 1 s is stuck: it stops, the desired position moves to the tool, and the guard waits for a
-    new motion from there. If no newer decision becomes active in time, the phase or the arm comes
-    to rest.
+    new motion from there. If no newer decision becomes active within about three periods, the phase
+    is held, or a maneuver is replaced by braking.
 
-    With the error e between measured and commanded joint position, and the gains kp and kd of the
-    joint controller, a contact is detected if
+    With the error e between measured and commanded position of a joint, and the gains kp and kd of
+    the joint controller, a contact is detected if
 
         |e| > contact_error   or   |e + (kd / kp) de/dt| > 0.6 contact_error
 
     The command then restarts at rest from the measured configuration. For `contact_time`, maneuvers
-    move no point of the arm faster than `v_unseen`. The second term is the feedback torque over
-    kp M, with the mass matrix M. Without contact it is at most 0.003 rad, or 0.01 rad with a wrong
-    model of the arm.
+    move no point of the arm faster than `v_unseen`, and the verified motion is held. The left side
+    of the second condition is the feedback torque over kp M, with the mass matrix M. Without
+    contact it is at most 0.003 rad, or 0.01 rad with a wrong model of the arm.
     """
 
     def __init__(
@@ -300,13 +304,16 @@ class MotionGuard(LeafSystem):
             chain, arm_spheres: kinematics of the arm, and spheres that cover it.
             duration: duration T of the movement primitive [s].
             q_start: (n,) commanded configuration before initialization [rad].
-            config: configuration of the policy; its period is the step of the command.
+            config: configuration of the movement primitive; its `period` is the time step of the
+                joint command.
             parameters: parameters of the search, the contact reaction and the monitors.
             period: time between decisions [s].
             damping: ratio kd / kp of the gains of the joint controller [s].
             padding: position uncertainty of moving obstacles, added to their clearance [m].
-            turn_limit: maximum angle by which a maneuver turns the tool [rad]; None: no limit.
-            compute_latency: simulated compute latency; None: decisions are active at once.
+            turn_limit: maximum angle by which a maneuver turns the tool away from its orientation
+                on the verified motion [rad]; None: no limit.
+            compute_latency: model of the simulated compute latency of decisions; None: decisions
+                are active at once.
 
         Raises:
             ValueError: if a duration or period is not positive and finite.
@@ -410,14 +417,14 @@ class MotionGuard(LeafSystem):
         return x[self._index], x[self._size + self._index]
 
     def _desired_pose(self, context: Context) -> FloatArray:
-        """Returns the desired tool pose (12,) from the input ports: rotation matrix, row by row,
-        and position [m].
+        """Returns the desired tool pose (12,) in the world from the input ports: rotation matrix,
+        row by row, and position [m].
         """
         return np.append(rotation_of(self._orientation.Eval(context)), self._position.Eval(context))
 
     def _tool_error(self, context: Context) -> FloatArray:
-        """Computes the error (6,) from actual to desired tool pose: position [m], then rotation
-        vector [rad].
+        """Computes the error (6,) from actual to desired tool pose in the world: position [m], then
+        rotation vector [rad].
         """
         q, _ = self._arm_state(context)
         return _pose_error(self._desired_pose(context), tool_poses(self._chain, q[None])[0])
@@ -483,7 +490,7 @@ class MotionGuard(LeafSystem):
         self, state: GuardState, q: FloatArray, v: FloatArray, time: float
     ) -> GuardState:
         """Detects a contact of the arm by the measured joint state; after a contact the command
-        restarts at rest from there.
+        restarts at rest from the measured configuration.
 
         Args:
             state: state of the guard.
@@ -513,8 +520,8 @@ class MotionGuard(LeafSystem):
         """Evaluates the monitors that limit the speed of the motion, and returns the guard state
         with the new speed scale.
 
-        The monitors check the age of the observation, the guard's decision, the deviation from the
-        verified motion (checked by simulation), and torque saturation.
+        The monitors check the age of the observation, the guard's decision, recent contacts, the
+        deviation from the verified motion (checked by simulation), and torque saturation.
 
         Args:
             context: context of the system.
@@ -611,8 +618,9 @@ class MotionGuard(LeafSystem):
             state: state of the guard.
             deviation: maximum joint deviation from the verified motion [rad].
             time: current time [s].
-            has_moving: whether an obstacle moves; a moving arm then may still be evading. Beside an
-                obstacle that pauses, a resting arm may wait.
+            has_moving: whether an obstacle moves. If so, an arm that is not at rest counts as
+                making progress, because it may still evade. If none moves, but one moved less than
+                2 s ago, any arm counts as making progress, because it may wait for this obstacle.
 
         Returns:
             Time since which there is no progress [s], inf if the arm is on the motion; and minimum
@@ -658,7 +666,8 @@ class MotionGuard(LeafSystem):
         """Returns the inputs of a decision of the motion guard, predicted for the time at which the
         decision becomes active.
 
-        The predicted time is the current time plus the latency of the previous decision.
+        This time is the current time plus the compute latency of the previous decision, rounded up
+        to a whole step of the joint command.
 
         Args:
             context: context of the system.
@@ -707,9 +716,9 @@ class MotionGuard(LeafSystem):
 
 def _pose_error(X_d: FloatArray, X: FloatArray) -> FloatArray:
     """Computes the error (6,) from a tool pose X to a desired pose X_d: position [m], then rotation
-    vector [rad].
+    vector [rad], both in the world.
 
-    A pose (12,) is a rotation matrix, row by row, and a position [m].
+    A pose (12,) in the world is a rotation matrix, row by row, and a position [m].
     """
     rotation = X_d[:9].reshape(3, 3) @ X[:9].reshape(3, 3).T
     return np.append(X_d[9:] - X[9:], rotation_vector(np.ascontiguousarray(rotation)))

@@ -11,7 +11,7 @@ of the position c_i(t). Let d_i(t) be the distance of c_i(t) to the obstacles th
 have come to rest a short time before s, at their positions at s. A trajectory violates claim
 
     (A)  if d_i(t) <= rho_i(t) and d_i(t) decreases faster than 0.02 m/s
-    (B)  if u_i(t) . n > v_unseen for a direction n from c_i(t) to a point within rho_i(t) that is
+    (B)  if u_i(t) . n > v_unseen for a unit vector n from c_i(t) to a point within rho_i(t) that is
          neither observed as free at s nor occupied by a known obstacle or the arm
 
 at some time until the arm rests. Hence a sphere that an obstacle slower than V may reach is at rest
@@ -57,9 +57,11 @@ _BALL_SAMPLES = np.vstack([0.5 * DIRECTIONS, DIRECTIONS])
 """Sample points (52, 3) in the unit ball without its center, scaled to test whether the space near
 the arm is observed [-]."""
 _PARTS = 8
-"""Number of subsets of the arm's spheres that are checked for claim (B) one after another [-]."""
+"""Number of subsets of the arm's spheres whose speeds toward unobserved space, claim (B) of passive
+motion safety, are checked one after another [-]."""
 _SAMPLE_RADII = np.linalg.norm(_BALL_SAMPLES, axis=1)
-"""Distances (52,) of the points `_BALL_SAMPLES` from the center of the unit ball [-]."""
+"""Distances (52,) from the center of the unit ball to its sample points, which are scaled to test
+whether the space near the arm is observed: 0.5 or 1 [-]."""
 
 
 def violated_claim(
@@ -77,8 +79,10 @@ def violated_claim(
     """Finds the first claim of passive motion safety that a trajectory of the arm violates: "A",
     "B", or "" for none.
 
-    Claim A limits the speed toward moving obstacles, claim B the speed toward unobserved space (see
-    the module docstring).
+    The arm is covered by spheres. Claim A: no sphere that an obstacle slower than V may reach
+    approaches a moving obstacle faster than 0.02 m/s. Claim B: no sphere moves faster than v_unseen
+    toward a point from which such an obstacle may reach it, unless the point was observed as free,
+    or is occupied by known collision geometry or the arm.
 
     Args:
         chain, spheres: kinematics of the arm, and spheres that cover it.
@@ -124,12 +128,13 @@ def violated_claim(
 def _is_any_approaching(
     p_WS: FloatArray, reach: FloatArray, dt: FloatArray, moving: CollisionGeometries, stamp: float
 ) -> bool:
-    """Checks whether any of S spheres approaches moving obstacles faster than `_REST_SPEED` and
-    ends a step within its reach of them.
+    """Checks whether any of S spheres approaches moving obstacles faster than 0.02 m/s in a step
+    after which an obstacle may have reached it.
 
     Args:
         p_WS: (T, S, 3) centers of the spheres in the world [m].
-        reach: (T - 1, S) reach of the spheres at the end of each step [m].
+        reach: (T - 1, S) distance from the center of each sphere, at the end of each step, within
+            which an obstacle at the time `stamp` may have reached the sphere [m].
         dt: (T - 1,) durations of the steps [s].
         moving: collision geometries of moving obstacles.
         stamp: time at which the geometries are evaluated [s].
@@ -156,8 +161,8 @@ def _is_any_unknown(
     geometries: CollisionGeometries,
     stamp: float,
 ) -> bool:
-    """Checks whether any of N unobserved sample points is outside the arm and outside all collision
-    geometries.
+    """Checks whether any of N unobserved sample points is more than 1 cm away from the arm and from
+    all collision geometries.
 
     Args:
         samples: (N, 3) sample points in the world [m].

@@ -3,16 +3,16 @@
 The speed scale is the fraction of the full rate ds/dt = 1 / (tau T) of normalized time s. T is the
 demonstrated duration, and tau the temporal scaling. Each monitor returns a `SpeedLimit`, and the
 smallest limit is active. The path is a function of s only, and therefore does not depend on the
-speed. A hold with a lasting cause becomes a stop. The verified motion is the joint motion that
-MotionVerifier checked by simulation.
+speed. A cause is lasting if it persists while the motion is at rest; a hold for it becomes a stop
+after 3 s. The verified motion is the joint motion that MotionVerifier checked by simulation.
 
 ===================  =====================================  ====================================
 Monitor              slows                                  holds
 ===================  =====================================  ====================================
-monitor_observation  observation older than a fresh age     observation older than its maximum
-                                                            age, or no observation
-monitor_guard        the guard slows the verified motion    wait or maneuver (lasting if no
-                                                            obstacle moves); late decision
+monitor_observation  observation older than                 observation older than `max_age`,
+                     `max_fresh_age`                        or no observation
+monitor_guard        the motion guard slows the verified    wait or maneuver (lasting if no
+                     motion                                 obstacle moves); late decision
                                                             (lasting)
 monitor_contact      never                                  contact of the arm less than
                                                             `contact_time` ago
@@ -56,8 +56,8 @@ _HOLD_TIMEOUT = 3.0
 """Duration after which the supervisor turns a hold into a stop, if the cause persists while the arm
 rests [s]."""
 _MIN_EVENT_DURATION = 0.5
-"""Minimum duration of an event of the supervisor, so that rapid changes of its action or cause are
-not logged [s]."""
+"""Minimum time for which the supervisor keeps the action "slow", and the cause of an action, so
+that rapid changes are not logged [s]."""
 _FULL_SPEED_THRESHOLD = 0.95
 """Fraction of full speed below which the supervisor's action is "slow" instead of "run" [-]."""
 
@@ -71,7 +71,8 @@ class SpeedLimit:
         cause: short name of the event, such as "torque"; limits with the same cause belong to the
             same event.
         reason: description of the event with numbers, for log and report.
-        is_lasting: whether the cause persists while the motion is at rest.
+        is_lasting: whether the cause persists while the motion is at rest; a hold then becomes a
+            stop after 3 s.
     """
 
     scale: float = 1.0
@@ -93,9 +94,11 @@ class Supervision(Frozen):
         action: "run": full speed; "slow": reduced speed; "hold": at rest until the cause ends;
             "stop": at rest, for a cause that is not expected to end by itself.
         speed_scale: fraction of full speed at which the motion may run, in [0, 1].
-        reason, cause: reason and cause of the active limit; "" while the action is "run".
+        reason, cause: description with numbers, and short name, of the event that limits the speed;
+            "" while the action is "run".
         since: start time of the current action and cause [s].
-        blocked_since: start time of a hold with a lasting cause [s]; inf: no such hold.
+        blocked_since: start time of a hold with a lasting cause, that is, one that persists while
+            the motion is at rest [s]; inf: no such hold.
         saturated_since: start of the torque saturation, or time of its last speed reduction [s];
             inf: not saturated.
         torque_scale: fraction of full speed that torque saturation allows, in [0, 1].
@@ -134,18 +137,23 @@ def supervise(
     monitors.
 
     The speed scale falls at once, since the movement primitive changes its speed gradually, and
-    rises at a bounded rate. "Limit" is the smallest limit, "scale" the speed scale. Transitions,
-    with hysteresis between hold and resume:
+    rises at a bounded rate. "Limit" is the smallest limit, "scale" the speed scale. A cause is
+    lasting if it persists while the motion is at rest. Transitions, with hysteresis between hold
+    and resume:
 
     ============  ===========================================  ==========
     Action        Condition                                    Next
     ============  ===========================================  ==========
-    run, slow     limit < `_HOLD_BELOW`                        hold
-    hold          lasting cause for `_HOLD_TIMEOUT`            stop
-    hold, stop    limit >= `_RESUME_ABOVE`                     slow
-    run           scale < `_FULL_SPEED_THRESHOLD`              slow
-    slow          otherwise, after `_MIN_EVENT_DURATION`       run
+    run, slow     limit < 0.05                                 hold
+    hold          lasting cause for 3 s                        stop
+    hold, stop    limit >= 0.3                                 slow
+    run           scale < 0.95                                 slow
+    slow          scale >= 0.95, at least 0.5 s after `since`  run
     ============  ===========================================  ==========
+
+    The numbers are the constants `_HOLD_BELOW`, `_HOLD_TIMEOUT`, `_RESUME_ABOVE`,
+    `_FULL_SPEED_THRESHOLD` and `_MIN_EVENT_DURATION`. The start time of the action and its cause is
+    `since`.
 
     Args:
         previous: result of the previous step.
@@ -228,7 +236,8 @@ def monitor_guard(
         decision: active decision of the guard.
         time: current time [s].
         is_late: whether the decision has expired because no newer one was completed in time.
-        has_moving: whether an obstacle moves or pauses; then a wait is expected to end by itself.
+        has_moving: whether an obstacle moves, or moved less than 2 s ago; then a wait is expected
+            to end by itself.
     """
     if is_late:
         reason = "no decision of the motion guard in time"
@@ -245,10 +254,11 @@ def monitor_guard(
 
 
 def monitor_contact(is_recent: bool) -> SpeedLimit:
-    """Holds the verified motion (checked by simulation) for a while after a contact of the arm.
+    """Holds the verified motion (checked by simulation) after a contact of the arm.
 
     Args:
-        is_recent: whether a contact was detected less than `contact_time` ago.
+        is_recent: whether a contact was detected less than `contact_time` ago, a parameter of the
+            motion guard (0.5 s by default).
     """
     return SpeedLimit(0.0, "contact", "the arm was in contact") if is_recent else NO_LIMIT
 
@@ -283,7 +293,7 @@ def monitor_torque(
     """Limits the speed of the motion while joint torques are saturated; afterwards the limit rises
     linearly to full speed.
 
-    The limit is multiplied by `_SATURATION_FACTOR` for each `_SATURATION_TIME` of saturation.
+    The limit is multiplied by 0.7 for each 0.1 s of saturation, but not below 0.1 of full speed.
 
     Args:
         state: state of the supervisor.
