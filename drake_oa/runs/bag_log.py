@@ -6,14 +6,16 @@ topic               type                            content
 /obstacles          visualization_msgs/Marker       observed obstacles, dilated by the tool
 /tool_clearance     std_msgs/Float64                true distance of the tool to obstacles [m]
 /robot_clearance    std_msgs/Float64                true distance of the robot to obstacles [m]
-/rosout             rcl_interfaces/Log              layers that decide, holds, supervision
+/rosout             rcl_interfaces/Log              layer of each decision ("verification" or
+                                                    "guard"), notes that explain holds, reasons for
+                                                    which the motion guard slows or stops the arm
 /log/<key>          std_msgs/Float64                keys of the log with one value an instant
 /log/<key>          std_msgs/Float64MultiArray      keys of the log with several values an instant
 /log/constants      std_msgs/String                 all other keys as JSON; null: not finite
 ==================  ==============================  ==============================================
 
-`drake_oa.runs.motion_log` has the keys. Points and markers are in the frame "world". Times are
-simulated times.
+The docstring of `drake_oa.runs.motion_log` lists the keys of the log. Points and markers are in the
+frame "world". Times are simulated times.
 """
 
 from __future__ import annotations
@@ -32,20 +34,24 @@ from drake_oa.runs.report import motion_metrics
 from drake_oa.scenario.scenario import Scenario
 
 _STEP = 8
-"""Number of instants from one clearance to the next, since their computation is slow."""
+"""Number of logged instants from one clearance in the bag to the next, since the computation of
+clearances is slow."""
 _INFO = 20
-"""Level of messages on /rosout."""
+"""Severity of the messages on the topic /rosout: INFO of rcl_interfaces/Log."""
 _SPHERE, _DELETE_ALL = 2, 3
-"""Type of a marker, and the action that removes all markers."""
+"""Constants of visualization_msgs/Marker: type of an ellipsoid, and action that removes all
+markers."""
 _COLOR = {"r": 0.8, "a": 0.4}
-"""Color and opacity of the markers of obstacles."""
+"""Red component and opacity of the color of the obstacles' markers, in [0, 1] [-]."""
 
 
 def write_log(bag: BagWriter, scenario: Scenario, log: MotionLog) -> None:
-    """Writes the log of a motion to a bag, see the table of the module.
+    """Writes the log of a motion as ROS 2 messages to a bag.
+
+    The table in the docstring of the module `drake_oa.runs.bag_log` lists the topics.
 
     Args:
-        bag: open bag.
+        bag: writer of the bag.
         scenario: scenario of the log.
         log: log of the motion.
     """
@@ -84,9 +90,9 @@ def _write_obstacles(bag: BagWriter, time: float, obstacles: EllipsoidSet) -> No
     """Writes the markers of observed ellipsoids, which replace all earlier markers.
 
     Args:
-        bag: open bag.
-        time: time of the observation [s].
-        obstacles: ellipsoids in the world.
+        bag: writer of the bag.
+        time: simulated time at which the observation became available [s].
+        obstacles: ellipsoids around the obstacles, dilated by the tool, in the world frame.
     """
     write = partial(bag.write, "/obstacles", "visualization_msgs/msg/Marker", time)
     write(action=_DELETE_ALL)

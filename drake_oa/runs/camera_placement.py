@@ -33,8 +33,8 @@ from drake_oa.world.delayed_camera import Rendered
 from drake_oa.world.world_model import add_world
 
 MAX_UNOBSERVED_FRACTION = 0.15
-"""Maximum fraction of unobserved space near the arm, above which `view_note` suggests a camera
-pose."""
+"""Fraction of the space within 0.4 m of the arm that no camera observes to be free, above which
+`view_note` suggests another camera pose [-]."""
 _DISTANCE = 2.1
 """Distance of a suggested camera from its target, the mean position of the arm along the nominal
 motion [m]."""
@@ -53,8 +53,9 @@ def _motion_space(scenario: Scenario) -> tuple[FloatArray, list[FloatArray], Flo
     """Samples the space near the arm along a scenario's nominal motion.
 
     Returns:
-        T configurations (T, n) of the robot from start to goal [rad, m]; for each of them, points
-        (N, 3) near the arm in the world [m]; and the mean position (3,) of the arm [m].
+        T configurations (T, n) of the robot from start to goal [rad, m]; for each of them, the grid
+        points (N, 3) within 0.4 m of the arm's surface, in the world [m]; and the mean position
+        (3,) of the arm over all configurations, in the world [m].
     """
     robot = robot_of(scenario)
     robot_plant, spheres = make_robot_plant(robot), covered_arm(robot).arrays
@@ -79,7 +80,7 @@ def observed_free_space(
     Args:
         source: perception block of the scenario.
         configs: configurations of the cameras.
-        images: rendered image of each camera.
+        images: rendered depth image (H, W) [m] and pose X_WC of each camera.
     """
     too_far = np.inf if isinstance(source, DepthCamera) and source.noise is None else np.nan
     views = []
@@ -99,10 +100,10 @@ def _render(
         scenario: scenario with a robot.
         config: configuration of the camera.
         q: (T, n) configurations of the robot [rad, m].
-        poses: poses of the camera in the world; empty: its own pose.
+        poses: poses X_WC of the camera; empty: only the pose in `config`.
 
     Yields:
-        For each pose, the images in the T configurations.
+        For each pose, a list of the images in the T configurations.
     """
     plant, builder = MultibodyPlant(time_step=scenario.plant_step), DiagramBuilder()
     scene_graph = SceneGraph()
@@ -152,8 +153,9 @@ def unobserved_near_arm(scenario: Scenario) -> float:
     """Computes the fraction of the space near the arm, along the nominal motion, that none of the
     cameras that perception uses observes to be free.
 
-    The fraction is that of `drake_oa.perception.coverage.unobserved_fraction`, for images without
-    noise; obstacles are at their initial poses.
+    The space is that within 0.4 m of the arm's surface and, if there is a table, from the table to
+    0.75 m above it. The fraction, in [0, 1], is the mean over several configurations of the arm.
+    Images have no noise; obstacles are at their initial poses.
 
     Args:
         scenario: scenario with a robot and perception by cameras.
@@ -174,10 +176,10 @@ def _unobserved_fractions(
         scenario: scenario with perception by cameras.
         q: (T, n) configurations of the robot [rad, m].
         points: for each configuration, points (N, 3) in the world [m].
-        poses: poses of the first camera in the world; empty: its own pose.
+        poses: poses X_WC of the first camera; empty: only the pose in its configuration.
 
     Yields:
-        For each pose, the fraction of the points.
+        For each pose, the fraction of the points, in [0, 1].
     """
     source: Any = scenario.perception
     configs = camera_configs(scenario, source)
@@ -192,9 +194,9 @@ def view_note(scenario: Scenario) -> str:
     """Returns one line of text with the fraction of the space near the arm that no camera observes
     to be free.
 
-    Above `MAX_UNOBSERVED_FRACTION`, the line also suggests a pose of the first camera with which
-    more of the space is observed, or states that there is none. The line is empty if the perception
-    uses no cameras, or recorded images.
+    Above 15 % (`MAX_UNOBSERVED_FRACTION`), the line also suggests a pose of the first camera with
+    which more of the space is observed, or states that there is none. The line is empty if the
+    perception uses no cameras, or recorded images.
     """
     source = scenario.perception
     if not isinstance(source, CameraSource) or isinstance(source, RecordedBag):

@@ -69,7 +69,8 @@ def prepare_hardware(
 
     Args:
         scenario: scenario of the run.
-        link: link to the arm; images arrive on the same LCM bus.
+        link: link to the arm. Its LCM bus (`url`) delivers the images, unless the scenario has a
+            block `!LcmCamera` with another URL.
         meshcat: viewer, or None.
 
     Returns:
@@ -78,7 +79,8 @@ def prepare_hardware(
     Raises:
         ScenarioError: if a field of the scenario is wrong; names the field.
         HardwareError: if the arm sends no status, is not at rest at the start, is beyond its
-            limits, or has another command source; if the table in the images is not at its height.
+            limits, or receives commands of another process; if the table in the images is not at
+            the height that the scenario states.
     """
     max_delay = LEAD + link.rate * _IMAGE_DELAY
     known_scenario = hardware_scenario(scenario, link.url, max_delay)
@@ -101,8 +103,8 @@ def prepare_hardware(
 
 @cache
 def _load_kernels() -> None:
-    """Loads or compiles the kernels of all layers, because compiling one while the arm moves would
-    delay decisions by seconds.
+    """Loads or compiles the kernels (compiled functions) of all layers, because compiling one while
+    the arm moves would delay decisions by seconds.
 
     The function simulates a shipped scenario in which an obstacle moves toward the arm. The motion
     is fast and its requested clearance cannot be reached, so that all methods of the planner and
@@ -126,7 +128,8 @@ def drive(
     Args:
         setup: result of `prepare_hardware`.
         link: link to the arm of this setup.
-        duration: time limit in simulated time [s]; None: the default limit of `MotionMonitor`.
+        duration: simulated time at which the run ends in any case [s]; None: the motion has 6 times
+            its demonstrated duration after the last move of the goal.
         on_step: function that is called once per period of the policy, with the monitor of the
             motion and the root Context of the diagram.
 
@@ -152,10 +155,11 @@ def drive(
 
 
 def _with_events(log: MotionLog, link: RobotLink) -> MotionLog:
-    """Returns a copy of a log in which the notes of the policy include the events of the command
-    streamer.
+    """Returns a copy of a log whose notes, which explain holds of the motion, include the events of
+    the command streamer.
 
-    The command streamer is the process that sends positions to the arm.
+    The command streamer is the process that sends positions to the arm. Its events are that the arm
+    stopped, holds its position, or resumed the motion.
 
     Args:
         log: log of the commanded motion.

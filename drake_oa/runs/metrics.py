@@ -44,8 +44,8 @@ class MotionMetrics:
             any instant, in the order of their first contacts.
         contact_depth: maximum penetration [m] of each pair of `contacts` and `self_contacts`, by
             the name of the pair.
-        tool_clearance: (T,) distance of the tool to the nearest obstacle [m]; negative in
-            penetration, inf without obstacles.
+        tool_clearance: (T,) distance of the tool (hand, fingers and grasped object) to the nearest
+            obstacle [m]; like the other clearances negative in penetration, inf without obstacles.
         resting_clearance: (T,) distance of the tool to the nearest obstacle that never moves [m].
         robot_clearance: (T,) distance of the whole robot to the nearest obstacle [m].
         p_WE: (T, 3) positions of the tool point E in the world [m].
@@ -162,7 +162,7 @@ class ClearanceEvaluator:
             scenario: scenario with a robot and its world.
 
         Raises:
-            ScenarioError: if the station cannot be built.
+            ScenarioError: if the scenario's world cannot be built.
         """
         builder = DiagramBuilder()
         self._station = station = make_station(builder, scenario, render=False)
@@ -201,9 +201,9 @@ class ClearanceEvaluator:
         """Computes clearances and contacts of the robot at each instant of a motion.
 
         Args:
-            q: (T, nq) positions of the robot, in the plant's order.
-            q_world: (T, n) all positions of the station's plant, for a world in which more
-                than the robot moves; None or (T, 0): only the robot moves.
+            q: (T, nq) positions of the robot, in the plant's order [rad, m].
+            q_world: (T, n) all positions of the plant of robot and world [rad, m], for a world in
+                which more than the robot moves; None or (T, 0): only the robot moves.
 
         Returns:
             Metrics. Clearances count obstacles only. Contacts count every object, such as obstacles
@@ -235,18 +235,18 @@ class ClearanceEvaluator:
         """Sets the positions of the world and of the robot, and returns SceneGraph's QueryObject.
 
         Args:
-            q: (nq,) positions of the robot, which replace those in q_world.
-            q_world: (n,) all positions of the station's plant.
+            q: (nq,) positions of the robot, which replace those in q_world [rad, m].
+            q_world: (n,) all positions of the plant of robot and world [rad, m].
         """
         self._plant.SetPositions(self._plant_context, q_world)
         self._plant.SetPositions(self._plant_context, self._station.robot, q)
         return self._query_port.Eval(self._graph_context)
 
     def positions_at(self, time: float) -> FloatArray:
-        """Computes the positions (n,) of the plant at a time at which moving obstacles follow their
-        trajectories.
+        """Computes all positions (n,) of the plant at a simulated time, with moving obstacles on
+        their trajectories [rad, m].
 
-        All other bodies, the robot included, are at their initial positions.
+        The robot and all other bodies are at their initial positions.
 
         Args:
             time: simulated time [s].
@@ -278,9 +278,9 @@ class ClearanceEvaluator:
         kinetic energy.
 
         Args:
-            q: (nq,) positions of the robot, in the plant's order.
-            v: (nv,) velocities of the robot.
-            q_world: (n,) all positions of the station's plant.
+            q: (nq,) positions of the robot, in the plant's order [rad, m].
+            v: (nv,) velocities of the robot [rad/s, m/s].
+            q_world: (n,) all positions of the plant of robot and world [rad, m].
 
         Returns:
             Speeds [m/s] by the name "link - object" of the pair, and the kinetic energy [J]. A
@@ -352,8 +352,8 @@ class ClearanceEvaluator:
 
 
 class _Balls:
-    """Bounding balls of N collision geometries, which move with the bodies and bound distances from
-    below.
+    """Bounding balls of N collision geometries, fixed to the bodies of these geometries, for lower
+    bounds of distances.
 
     Attributes:
         geometry_ids: IDs of the collision geometries.
@@ -397,12 +397,15 @@ def clearance_evaluator(scenario: Scenario) -> ClearanceEvaluator:
 def robot_metrics(
     scenario: Scenario, q: FloatArray, q_world: FloatArray | None = None
 ) -> MotionMetrics:
-    """Computes contacts and clearances of a robot's motion in a scenario, see
-    `ClearanceEvaluator.metrics`.
+    """Computes contacts and clearances of a robot's motion on the true geometry of a scenario.
+
+    Clearances count obstacles only. Contacts count every object, such as obstacles and the table,
+    and pairs of the robot's links.
 
     Args:
         scenario: scenario with a robot.
-        q: (T, nq) positions of the robot.
-        q_world: (T, n) all positions of the plant; None or (T, 0): only the robot moves.
+        q: (T, nq) positions of the robot, in the plant's order [rad, m].
+        q_world: (T, n) all positions of the plant of robot and world [rad, m]; None or (T, 0): only
+            the robot moves.
     """
     return clearance_evaluator(scenario).metrics(q, q_world)

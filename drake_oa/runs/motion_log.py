@@ -6,9 +6,12 @@ holds the number `SCHEMA_VERSION`. Each motion has one key MOTION/ATTRIBUTE for 
 Texts are string arrays, of dimension 0 for a single text.
 
 W is the world frame (z up), E the tool point, O an obstacle. There are T instants (every 4 ms) and
-F observations of at most M obstacles each. There are E notes of the policy, S changes of the
-supervision and D decisions. nq, nv and nu are the numbers of positions, velocities and actuators of
-the robot, 0 without a robot.
+F observations of at most M obstacles each. The policy (the movement primitive) has E notes, which
+explain its holds: it rests on its path. The motion guard, which commands the joints, has S changes
+of its action. There are D decisions of the layers that select the motion ("verification") and the
+maneuvers away from obstacles ("guard"). The verified motion is the selected motion, which was
+checked by simulation. nq, nv and nu are the numbers of positions, velocities and actuators of the
+robot, 0 without a robot.
 
 ====================  =============  ========  ====================================================
 key                   shape          unit      content
@@ -29,11 +32,11 @@ speed_scale           (T,)           none      fraction of full speed that the m
                                                in [0, 1]; 1 without a guard
 tracking_error        (T,)           m         distance of E to its desired position, from the
                                                controller; NaN without one
-q_world               (T, n)         rad, m    all positions of the station's plant; (T, 0) if only
-                                               the robot moves
+q_world               (T, n)         rad, m    all positions of the plant of robot and world; (T, 0)
+                                               if only the robot moves
 observation_time      (F,)           s         times at which observations became available
-observation_stamp     (F,)           s         times at which the scene was as observed; inf: the
-                                               scenario gives the ellipsoids
+observation_stamp     (F,)           s         times of the scene that was observed: of the images,
+                                               for example; inf: the scenario gives the ellipsoids
 p_WO                  (F, M, 3)      m         centers of the obstacles' ellipsoids in W; NaN rows
                                                for observations of fewer than M ellipsoids
 R_WO                  (F, M, 3, 3)   none      orientations of the ellipsoids in W; the columns are
@@ -43,14 +46,16 @@ v_WO                  (F, M, 3)      m/s       velocities of the centers in W
 obstacle_id           (F, M)         none      IDs of the ellipsoids; -1: no ellipsoid
 out_of_range          (F,)           none      number of obstacles beyond the training range of the
                                                regressor chain
-inference             ()             text      "Verified" or "Paper"; "" for the nominal motion
+inference             ()             text      method: "Verified" by simulation, or "Paper" (Pairet
+                                               et al., RA-L 2019); "" for the nominal motion
 shortfall             (T,)           m         clearance that the verified motion is predicted to
-                                               lack
+                                               lack; 0: none
 event_time            (E,)           s         times at which the note of the policy changed
 event                 (E,)           text      notes that explain why the policy holds the motion;
                                                "": the motion continues
-supervision_time      (S,)           s         times at which the guard's supervision changed
-supervision_action    (S,)           text      "run", "slow", "hold" or "stop" from then on
+supervision_time      (S,)           s         times at which the guard's action or reason changed
+supervision_action    (S,)           text      "run", "slow", "hold" or "stop" (a hold for a lasting
+                                               reason) from then on
 supervision_reason    (S,)           text      reason of the action; "" for "run"
 position_name         (nq,)          text      names of the robot's positions
 position_lower        (nq,)          rad, m    lower position limits
@@ -63,7 +68,8 @@ wall_time             ()             s         wall-clock time of the simulation
 avoid_obstacles       ()             bool      whether obstacles were avoided
 scenario              ()             text      the scenario as YAML, defaults included
 seed                  ()             none      seed of the scenario
-versions              (P,)           text      packages, date and source digest: "name value"
+versions              (P,)           text      versions of packages, date, and source digest (hash
+                                               of the source files), each as "name value"
 goal                  (T, 3)         m         position of the goal
 desired_orientation   (T, 4)         none      quaternion w, x, y, z of the desired R_WE; (0, 4):
                                                constant orientation
@@ -71,26 +77,30 @@ orientation_error     (T, 3)         rad       rotation vector in W from actual 
                                                orientation; (0, 3): constant orientation
 desired_posture       (T, 2n)        rad,      nominal configuration of the null space, then its
                                      rad/s     velocities; (T, 0): none
-guard_action          (T,)           none      action of the guard: 0 follow, 1 slow, 2 wait, 3
-                                               evade, 4 brake; (0,): no guard
-guard_contact         (T,)           s         time of the first contact predicted on the verified
-                                               motion; inf: none
+guard_action          (T,)           none      decision of the guard: 0 follow, 1 slow or 2 wait on
+                                               the verified motion, 3 evade by a maneuver, 4 brake;
+                                               (0,): no guard
+guard_contact         (T,)           s         simulated time of the first contact predicted on the
+                                               verified motion; inf: none
 guard_claim           (T,)           none      claim of passive motion safety that limits the speed:
                                                0 none, 1 (A) moving obstacles, 2 (B) unobserved
                                                space
 clearance_reduction   (T,)           m         reduction of the requested clearance because start or
                                                goal leaves less; (0,): unknown
-motion_source         (T,)           none      source of the motion: -1 none, 0 nominal, 1 chain, 2
-                                               search, 3 joint_path
+motion_source         (T,)           none      source of the motion: -1 none, 0 nominal motion, 1
+                                               regressor chain, 2 search, 3 path in joint space
 motion_end            ()             s         time at which the motion terminated, after which the
                                                world comes to rest; NaN: no termination
-settled               ()             bool      whether the world came to rest
-decision_time         (D,)           s         times at which decisions started; (0,): without
-                                               compute latency
+settled               ()             bool      whether the world came to rest after the termination
+decision_time         (D,)           s         times at which decisions started; (0,): no compute
+                                               latency is simulated
 decision_latency      (D,)           s         simulated duration of each decision
 decision_layer        (D,)           text      layer that decides: "verification" or "guard"
-event_hold            (E,)           text      reason of the hold from then on, one of `HoldReason`
-ended                 ()             text      termination of the motion, one of `MotionEnd`
+event_hold            (E,)           text      reason of the hold from then on: "deciding",
+                                               "speed_scale", "supervisor", "goal" or "obstacles";
+                                               "none": no hold
+ended                 ()             text      kind of the termination, a value of `MotionEnd`, such
+                                               as "goal"
 ====================  =============  ========  ====================================================
 """
 
@@ -116,7 +126,7 @@ without this key has version 1."""
 _SCHEMA_KEY = "schema_version"
 DECISION_SIGNAL = "decision_"
 """Prefix in the names of logged signals with start time and compute latency of a layer's decisions;
-the name of the layer follows."""
+the name of the layer follows, as in "decision_guard"."""
 
 
 def _empty(*shape: int) -> Any:
@@ -138,7 +148,7 @@ class MotionEnd(StrEnum):
     """Termination because the motion guard stopped the motion for good."""
     HELD = "held"
     """Termination because the motion was held, at rest on its path, longer than the maximum hold
-    time."""
+    time of 5 s."""
     MISSED = "goal missed"
     """Termination because the tool was not at the goal at the end of the time in which the motion
     should arrive."""
@@ -154,8 +164,8 @@ class MotionEnd(StrEnum):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MotionLog:
-    """Log of one motion: signals at T instants, F observations of up to M obstacles, notes and
-    decisions.
+    """Log of one motion: signals at T instants, F observations of up to M obstacles, notes on
+    holds, and decisions.
 
     The attributes are the keys of a log file. The table in the docstring of the module
     `drake_oa.runs.motion_log` lists shape, unit and meaning of each.
@@ -295,11 +305,13 @@ def pack_decisions(signals: Mapping[str, FloatArray]) -> dict[str, Any]:
     """Collects the decisions of all layers from logged signals, for attributes of a `MotionLog`.
 
     Args:
-        signals: logged signals by name. A signal with the prefix `DECISION_SIGNAL` has the shape
-            (T, 2), with start time and compute latency [s] of the layer's last decision.
+        signals: logged signals by name. A signal with the prefix "decision_" has the shape (T, 2),
+            with start time and compute latency [s] of the last decision of the layer that its name
+            contains ("verification" or "guard").
 
     Returns:
-        `decision_time`, `decision_latency` and `decision_layer`, by name, in the order of time.
+        Start times `decision_time` (D,) [s], `decision_latency` (D,) [s] and names of the layers
+        `decision_layer` (D,), by these keys, in the order of time.
     """
     decisions = []
     for name, rows in signals.items():

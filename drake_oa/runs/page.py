@@ -1,5 +1,5 @@
-"""Text of the panel on the viewer's web page: time, method, clearances, contacts and hold reason of
-a motion.
+"""Text of the panel on the viewer's web page: time, method, clearances and contacts of a motion,
+and the reason for which it is held at rest.
 """
 
 from __future__ import annotations
@@ -66,10 +66,12 @@ class PanelReadings:
         Args:
             now: simulated time [s].
             state: last line of the text: reason of a hold, or state of the motion.
-            q: (N, nq) positions of the robot since the previous reading; the last of at least one
-                row is the present one.
-            q_world: (N, n) all positions of the world, or (N, 0): only the robot moves.
-            source: index of the motion's source in `drake_oa.planning.search.SOURCES`; -1: none.
+            q: (N, nq) positions of the robot since the previous reading [rad, m]; the last of at
+                least one row is the present one.
+            q_world: (N, n) all positions of the plant of robot and world [rad, m], or (N, 0): only
+                the robot moves.
+            source: source of the motion: 0 nominal motion, 1 regressor chain, 2 search, 3 path in
+                joint space; -1: none.
         """
         lines = [f"t = {now:.1f} s", self._method]
         if source >= 0.0:
@@ -111,8 +113,8 @@ def readings(scenario: Scenario, log: MotionLog) -> list[Reading]:
 
 
 def _logged_state(log: MotionLog, now: float) -> str:
-    """Returns the state of a logged motion at a simulated time [s] in words: hold reason, guard
-    action, or "running".
+    """Returns the state of a logged motion at a simulated time [s] in words: reason of a hold,
+    action of the motion guard, or "running".
     """
     row = int(np.searchsorted(log.supervision_time, now, side="right"))
     supervision = ("run", *log.supervision_action)[row], ("", *log.supervision_reason)[row]
@@ -125,7 +127,7 @@ def label_page(page: str, name: str, scenario: Scenario, log: MotionLog) -> str:
     page.
 
     Args:
-        page: HTML of a viewer after `drake_oa.viewing.viewer.recording`.
+        page: HTML of a Meshcat page that contains the recording of the motion.
         name: name of the scenario.
         scenario: scenario of the log.
         log: log of the recorded motion.
@@ -149,8 +151,8 @@ class LivePanel:
         self._next, self._state = 0.0, ""
 
     def __call__(self, monitor: MotionMonitor, root: Context, state: str = "") -> None:
-        """Waits until the page has drawn the last frame, and updates the panel every 0.1 s and at
-        changes of state.
+        """Waits while the page needs too long to draw the last frame, and updates the panel every
+        0.1 s of simulated time and at changes of state.
 
         Args:
             monitor: monitor of the motion.

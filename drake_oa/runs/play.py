@@ -45,11 +45,12 @@ SETTLING_TIME = 0.3
 _MAX_LEGS = 20
 """Maximum number of motions of an interactive run whose logs are stored; older logs are deleted."""
 _MAX_LATENESS = 0.1
-"""Maximum delay of an interactive run behind the selected speed that the following steps catch up
-[s]."""
+"""Maximum delay of an interactive run behind the wall clock at the selected speed, for which the
+following steps are faster [s]; the rest of a longer delay remains."""
 _METHODS = ("verified", "paper", "nominal")
 """Names of the methods that compute the motion, in the order in which a button of the viewer
-selects them; "nominal" avoids nothing."""
+selects them: "verified" by simulations of candidate motions, "paper" by the regressor chain of
+Pairet et al., RA-L 2019, and "nominal", which avoids nothing."""
 _NEXT = "next method (verified, paper, nominal)"
 """Name of the button in the viewer that selects the next method that computes the motion."""
 _SOURCE = "camera or ground truth"
@@ -70,8 +71,9 @@ def _welds(scenario: Scenario) -> dict[str, Any]:
 
 
 def obstacle_poses(scenario: Scenario) -> dict[str, RigidTransform]:
-    """Returns the poses X_WO in the world of all obstacles that `move_obstacle` can move, by
-    obstacle name.
+    """Returns the poses X_WO in the world of all obstacles that a user can move, by obstacle name.
+
+    These are the obstacles of the block `obstacles`, and those that a directive welds to the world.
     """
     poses = {item.name: pose(item) for item in scenario.obstacles}
     for name, weld in _welds(scenario).items():
@@ -182,8 +184,9 @@ class PlaySession:
         """Reads the controls of the viewer.
 
         Returns:
-            Values of the sliders by name [m, rad]; under "inference" the selected method, and under
-            "has_camera" whether a camera is the source of the obstacles.
+            Values of the sliders by name [m, rad]; under "inference" the selected method
+            ("verified", "paper" or "nominal"), and under "has_camera" whether a camera is the
+            source of the obstacles.
         """
         turn = self._clicks(_NEXT) + _is_paper(self._scenario)
         can_see = isinstance(self._scenario.perception, CameraSource)
@@ -254,7 +257,8 @@ class PlaySession:
         motion continues.
 
         Args:
-            q: (nq,) configuration at which the motion starts; None: the start of the scenario.
+            q: (nq,) configuration at which the motion starts [rad, m]; None: the start of the
+                scenario.
         """
         settings = self._tried_settings = self._settings_now
         avoid_obstacles = settings["inference"] != "nominal"
@@ -296,8 +300,10 @@ class PlaySession:
         """Returns a copy of the scenario that is modified by the settings of the controls.
 
         Args:
-            settings: values of the controls, as `_settings` returns them.
-            q: (nq,) configuration at which the motion starts; None: the start of the scenario.
+            settings: values of the controls by name: of the sliders [m, rad], "inference" (selected
+                method) and "has_camera" (whether a camera is the source of the obstacles).
+            q: (nq,) configuration at which the motion starts [rad, m]; None: the start of the
+                scenario.
         """
         scenario = copy.deepcopy(self._scenario)
         task = scenario.task
@@ -330,7 +336,7 @@ class PlaySession:
 
     def _positions(self) -> FloatArray:
         """Returns the present configuration (nq,) of the robot, clipped to values inside the joint
-        limits.
+        limits [rad, m].
         """
         q = self._monitor.positions(self._root())[0][0]
         lower, upper = self._limits.position_lower, self._limits.position_upper

@@ -1,4 +1,4 @@
-"""Figure of a logged run: clearances, phase and torques over time, and the path from two sides."""
+"""Figure of a logged run: clearances, phase and torques over time, and the path in two views."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def plot_run(path: Path, title: str, scenario: Scenario, logs: Mapping[str, Moti
 
     Raises:
         OutputError: if the file cannot be written.
-        ScenarioError: if the station of the scenario cannot be built.
+        ScenarioError: if the scenario's world cannot be built.
     """
     task = scenario.task
     start, goals = np.asarray(task.start), goal_steps(task)[:, 1:]

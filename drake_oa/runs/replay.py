@@ -84,7 +84,8 @@ def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> s
 
 
 def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: MotionLog) -> FloatArray:
-    """Returns all positions (T, n) of a scenario's plant at the T instants of a log [rad, m].
+    """Returns all positions (T, n) of the plant of robot and world at the T instants of a log [rad,
+    m].
 
     Args:
         plant: finalized plant of the scenario.
@@ -195,12 +196,12 @@ class LogPlayer(LeafSystem):
       - ellipsoids_W
       - policy_state
 
-    - positions: (n,) positions of the station's plant, in its order [rad, m].
+    - positions: (n,) positions of the plant of robot and world, in its order [rad, m].
     - ellipsoids_W: abstract `EllipsoidSet` in the world frame, the latest observation; empty
       before the first one.
-    - policy_state: abstract `PolicyState`. Its p_WE is the actual position of the tool point. Its
-      z_W is the desired velocity [m/s] instead of the scaled one, because the log does not have the
-      factor tau T.
+    - policy_state: abstract `PolicyState` of the movement primitive. Its p_WE is the actual
+      position of the tool point in the world [m]. Its z_W is the desired velocity [m/s]; the factor
+      tau T (temporal scaling, demonstrated duration) that would scale it to [m] is not in the log.
 
     The system has no state: its outputs depend only on time.
     """
@@ -211,7 +212,8 @@ class LogPlayer(LeafSystem):
         Args:
             scenario: scenario of the log.
             log: log of the motion, with at least one instant.
-            positions: (T, n) positions of the station's plant at the instants of the log [rad, m].
+            positions: (T, n) positions of the plant of robot and world at the instants of the log
+                [rad, m].
         """
         super().__init__()
         self._p_WS = np.asarray(scenario.task.start, dtype=float)

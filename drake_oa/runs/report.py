@@ -25,7 +25,8 @@ from drake_oa.scenario.sources import given_ellipsoids, perception_period
 from drake_oa.scenario.task import goal_at
 
 TOLERANCE = 1e-3
-"""Difference of clearances above which the report contains a note or a warning [m]."""
+"""Difference between two clearances (requested, achievable or minimum) above which the report
+contains a note or a warning [m]."""
 _CONTACTS = ("contacts", "initial_contacts", "new_contacts", "self_contacts")
 """Keys in the report for the lists of contacts, with the names of the attributes of
 `MotionMetrics`."""
@@ -72,8 +73,9 @@ def motion_report(
 ) -> dict[str, Any]:
     """Computes the metrics of one logged motion, in SI units, for the report of a run.
 
-    Contacts and clearances count until the world is at rest; duration, path and decisions until the
-    end of the motion. On hardware the true obstacles are unknown: `collisions` without contacts,
+    The verified motion is the selected motion, which was checked by simulation. Contacts and
+    clearances count until the world is at rest; duration, path and decisions until the end of the
+    motion. On hardware the true obstacles are unknown: `collisions` without contacts,
     `achievable_clearance` and `clearance_shortfall` are None.
 
     Args:
@@ -104,14 +106,20 @@ def motion_report(
         - path_length: length of the path of the tool point.
         - out_of_range: fraction of observations beyond the training range of the regressor chain.
         - inference: "Verified" or "Paper"; None for the nominal motion.
-        - predicted_shortfall, clearance_reduction: maxima of the attributes `shortfall` and
-          `clearance_reduction` of the log; None unless `inference` is "Verified".
-        - sources, guard_actions, guard_claims: fractions of the duration, by source of the motion,
-          by action of the motion guard, and by claim of passive motion safety that limits the
-          speed.
-        - decision_latency, guard_latency: `latency_statistics` of the layers verification and
-          guard; None: no decision with latency.
-        - stop_reason, ended, settled: termination, with the values in `MotionLog`.
+        - predicted_shortfall, clearance_reduction: maximum clearance that the verified motion was
+          predicted to lack, and maximum reduction of the requested clearance because start or goal
+          leaves less; None unless `inference` is "Verified".
+        - sources: fraction of the duration for each source of the motion: nominal, chain (the
+          regressor chain), search or joint_path (a path in joint space).
+        - guard_actions: fraction of the duration for each action of the motion guard: follow, slow
+          or wait on the verified motion, evade, or brake.
+        - guard_claims: fraction of the duration in which a claim of passive motion safety limits
+          the speed: A toward moving obstacles, B toward unobserved space.
+        - decision_latency, guard_latency: statistics of the compute latencies of decisions on the
+          motion and on maneuvers of the guard, see `latency_statistics`; None: no decision with
+          latency.
+        - stop_reason, ended, settled: reason of the termination in words, its kind, and whether the
+          world came to rest afterwards.
         - events: times at which the policy began or ended a hold, with reasons and notes.
         - supervision: times at which the action of the motion guard changed, with reasons.
     """
@@ -174,7 +182,7 @@ def latency_statistics(
 
     Args:
         latencies: (N,) latencies of decisions [s].
-        period: period of the perception [s], or None.
+        period: time between two observations of the obstacles [s], or None.
 
     Returns:
         Dictionary of "median", "p99" and "max" [s]; "count"; and, with a period,
@@ -199,7 +207,7 @@ def layer_latencies(log: MotionLog, layer: str = "verification") -> FloatArray:
 
     Args:
         log: log of the motion.
-        layer: layer that decides: "verification" or "guard".
+        layer: layer that decides: "verification" (on the motion) or "guard" (on its maneuvers).
     """
     is_of_layer = np.array(log.decision_layer, dtype=str) == layer
     return log.decision_latency[is_of_layer & (log.decision_time <= log.duration)]
@@ -273,8 +281,8 @@ def time_fractions(log: MotionLog, codes: FloatArray, names: Sequence[str]) -> d
 def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
     """Creates the report of a run, which `drake-oa run --json` writes.
 
-    It contains scenario, seed, real-time factor and software versions, and under the name of each
-    motion the result of `motion_report`.
+    It contains scenario, seed, real-time factor (simulated time over wall time) and software
+    versions, and under the name of each motion its metrics (`motion_report`).
 
     Args:
         name: name of the scenario.
@@ -331,8 +339,8 @@ def report_table(report: dict[str, Any]) -> TextTable:
 
 
 def contact_error(report: dict[str, Any]) -> str:
-    """Returns one line with the contacts of the avoiding motion and their depths [mm]; "" without a
-    contact.
+    """Returns one line with the contacts of the avoiding motion and their depths as negative
+    distances [mm]; "" without a contact.
 
     Args:
         report: result of `run_report`.

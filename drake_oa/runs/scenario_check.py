@@ -22,8 +22,8 @@ from drake_oa.world.station import make_station
 
 
 def build_problems(scenario: Scenario) -> list[str]:
-    """Builds world, diagram, and configurations at start and goal of a scenario, and returns the
-    error messages.
+    """Builds world and diagram of a scenario, solves the inverse kinematics at start and goal, and
+    returns the error messages.
     """
     steps: list[Callable[[], object]] = [lambda: build_avoidance(scenario)]
     if scenario.robot is not None:

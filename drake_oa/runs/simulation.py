@@ -48,15 +48,15 @@ duration [-]."""
 MAX_NORMALIZED_TIME = 2.2
 """Normalized time at which a motion that has not reached the goal terminates [-].
 
-Normalized time s is time over the demonstrated duration times the temporal scaling tau. A motion
-that is predicted to arrive later terminates later. If the goal moves after s = 1, the limit is
-delayed by the value of s - 1 at its last move.
+Normalized time s advances at the rate 1 / (tau T) at full speed, with the demonstrated duration T
+[s] and the temporal scaling tau [-]. A motion that is predicted to arrive later terminates later.
+If the goal moves after s = 1, the limit is delayed by the value of s - 1 at its last move.
 """
 _CONTINUE = EventStatus.DidNothing()
 """Event status that `MotionMonitor` returns to the Simulator while the simulation continues."""
 _ARRIVAL_DELAY = 0.2
-"""Normalized time by which a verified motion may exceed its predicted arrival at the goal before it
-terminates as missed [-]."""
+"""Normalized time by which a motion that was verified by simulation may exceed its predicted
+arrival at the goal before it terminates as missed [-]."""
 ARRIVAL_TOLERANCE = Verified().tolerance
 """Distance between the position of the movement primitive and the goal below which the desired
 motion counts as arrived [m]."""
@@ -111,9 +111,11 @@ GOAL_OUTCOME = MotionOutcome(MotionEnd.GOAL, "goal")
 
 
 EVENT = ("event_time", "event_hold", "event")
-"""Keys in a `MotionLog` for the notes of the policy: times, reasons of holds, and texts."""
+"""Keys in a `MotionLog` for the notes with which the policy (movement primitive) explains holds:
+times, reasons of the holds, and texts."""
 _SUPERVISION = ("supervision_time", "supervision_action", "supervision_reason")
-"""Keys in a `MotionLog` for the supervision by the motion guard: times, actions and reasons."""
+"""Keys in a `MotionLog` for the changes of the motion guard's action (run, slow, hold or stop):
+times, actions and reasons."""
 T = TypeVar("T")
 
 
@@ -138,7 +140,7 @@ def motion_state(supervision: tuple[str, str], note: str) -> str:
 
     Args:
         supervision: action of the motion guard ("run", "slow", "hold" or "stop"), and its reason.
-        note: note of the policy that explains a hold; empty without a hold.
+        note: text with which the policy (movement primitive) explains a hold; empty without a hold.
     """
     action, reason = supervision
     return note or "running" if action == "run" else f"motion guard: {action}, {reason}"
@@ -152,7 +154,9 @@ class MotionMonitor:
     trajectories and the world has been at rest for `REST_TIME`. Contacts in this time count, too.
     If a stopped or held motion continues in the meantime, it has not terminated.
 
-    The conditions use the normalized time s, which is 1 at the end of the demonstrated motion:
+    The conditions use the normalized time s, which is 1 at the end of the demonstrated motion. The
+    desired motion has arrived if its position is within `ARRIVAL_TOLERANCE` (0.6 mm) of the goal,
+    almost at rest. The verified motion is the selected motion, which was checked by simulation:
 
     =============  ===================================================================
     `MotionEnd`    condition
@@ -168,13 +172,15 @@ class MotionMonitor:
     =============  ===================================================================
 
     Attributes:
-        frames: observed ellipsoids, one set for each observation, in the order in which the
-            observations became available.
+        frames: ellipsoids around the observed obstacles, one set for each observation, in the order
+            in which the observations became available.
         frame_times: times at which the observations became available [s].
         out_of_range: for each observation, the number of obstacles beyond the training range of
             the regressor chain.
-        events: (time [s], reason of the hold, note) at each change of the policy's note.
-        supervision: (time [s], action, reason) at each change of the guard's supervision.
+        events: (time [s], reason of the hold, note) at each change of the note with which the
+            policy (movement primitive) explains a hold.
+        supervision: (time [s], action, reason) at each change of the motion guard's action ("run",
+            "slow", "hold" or "stop") or its reason.
         phase: present canonical phase k of the movement primitive, from 1 down to 0.
         outcome: termination of the motion; None while it continues.
         motion_end: time of the termination [s]; NaN while the motion continues.
@@ -194,15 +200,15 @@ class MotionMonitor:
         """Prepares the monitor to read outputs of the systems of a diagram.
 
         Args:
-            diagram: diagram with a `dmp_integrator`; other systems of `build_avoidance` are
-                optional.
+            diagram: diagram with the system `dmp_integrator` (movement primitive); other systems of
+                `build_avoidance` are optional.
             scenario: configuration of the diagram.
             duration: time at which the simulation ends in any case [s]; None: the time limit of
                 the motion is `MAX_TIME_SCALING` demonstrated durations after the last move of the
                 goal. The simulation then ends at most `MAX_SETTLING_TIME` after this limit and the
                 end of all obstacle trajectories.
-            on_step: function that is called after each evaluation with the monitor and the root
-                Context.
+            on_step: function that is called once per period of the policy with the monitor and the
+                root Context.
         """
         self._diagram = diagram
         self._policy = _reader(diagram, "dmp_integrator", "policy_state", PolicyState())
@@ -247,8 +253,8 @@ class MotionMonitor:
             self._robot = self._tool_frame.model_instance()
 
     def __call__(self, root: Context) -> EventStatus:
-        """Records the present state once per period of the policy, and ends the simulation when the
-        world is at rest.
+        """Records the present state once per period of the policy (movement primitive), and ends
+        the simulation when the motion has terminated and the world is at rest.
         """
         now = root.get_time()
         if now < self._next_time:
@@ -276,8 +282,8 @@ class MotionMonitor:
         return _CONTINUE
 
     def positions(self, root: Context) -> tuple[FloatArray, FloatArray]:
-        """Returns the present positions (1, nq) of the robot and (1, n) of the whole plant; without
-        a robot both are (1, 0).
+        """Returns the present positions (1, nq) of the robot and (1, n) of the whole plant [rad,
+        m]; without a robot both are (1, 0).
         """
         if self._plant is None:
             return np.zeros((1, 0)), np.zeros((1, 0))
@@ -286,8 +292,8 @@ class MotionMonitor:
         return q[None], self._plant.GetPositions(context)[None]
 
     def source(self, root: Context) -> float:
-        """Returns the source of the present motion, such as nominal motion or search, as an index
-        of `drake_oa.planning.search.SOURCES`; -1: no source.
+        """Returns the source of the present motion: 0 nominal motion, 1 regressor chain, 2 search,
+        3 path in joint space; -1: no source.
         """
         return float(self._source(root)[0])
 
@@ -380,8 +386,8 @@ class MotionMonitor:
     def _record(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> None:
-        """Records changes of the policy's note and of the supervision, the start of a hold, and new
-        observations.
+        """Records changes of the policy's note, which explains a hold, and of the motion guard's
+        action or reason, the start of a hold, and new observations.
         """
         if policy.note != self._last_note:
             self._last_note = policy.note
@@ -401,7 +407,7 @@ class MotionMonitor:
             self.out_of_range.append(int((~self._coupling(root).in_range).sum()))
 
     def _verified_end(self, root: Context) -> float:
-        """Returns the normalized time at which the verified motion arrives at the goal by its
+        """Returns the normalized time at which the selected motion arrives at the goal in its
         roll-out (simulation); 0: it does not arrive.
         """
         motion = self._motion(root)
@@ -455,11 +461,14 @@ def simulate(
     Args:
         scenario: configuration of the diagram.
         avoid_obstacles: whether obstacles are avoided; False: the nominal motion.
-        duration: time limit [s]; None: the default limit of `MotionMonitor`.
+        duration: simulated time at which the simulation ends in any case [s]; None: the motion has
+            6 times its demonstrated duration after the last move of the goal.
         on_step: function that is called once per period of the policy, with the monitor of the
             motion and the root Context.
-        layers: functions that add the layers of the diagram; None: the defaults of `Layers`.
-        customize: function that modifies the signals of the diagram, see `build_avoidance`.
+        layers: functions that add the layers of the diagram, such as perception and control; None:
+            the default layers, `Layers()`.
+        customize: function that changes the signals (named connections between systems) of the
+            diagram before they are connected.
         diagram: result of `build_avoidance` with these arguments; None: it is built here.
 
     Returns:
@@ -587,15 +596,15 @@ def columns_of(rows: Sequence[tuple[Any, ...]], names: Sequence[str]) -> dict[st
 def make_log(
     scenario: Scenario, t: FloatArray, signals: dict[str, FloatArray], **attributes: Any
 ) -> MotionLog:
-    """Creates a log from logged signals; a missing signal gets its values in a nominal motion
-    without holds.
+    """Creates a log from logged signals; a missing signal gets the values that it has in a nominal
+    motion without holds.
 
     Args:
         scenario: configuration of the run.
         t: (T,) instants [s].
         signals: values (T, n) by name; desired_position is required only without a robot.
-        attributes: attributes of `MotionLog` that are no signals; observations, events and
-            changes of the supervision may be omitted if there are none.
+        attributes: attributes of `MotionLog` that are no signals; observations, notes on holds and
+            changes of the motion guard's action may be omitted if there are none.
     """
     count = len(t)
     none, still = np.zeros((count, 0)), np.zeros((count, 3))
