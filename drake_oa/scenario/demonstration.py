@@ -67,15 +67,17 @@ def read_demonstration(file: str | Path, duration: float = 5.0) -> Demonstration
     """Reads and checks one demonstration file.
 
     Args:
-        file: .npz with `path` (T, 3), optionally `t` (T,), and optionally `quaternion` (T, 4), w
-            first, of any sign and length, or `R` (T, 3, 3); or .csv whose header names columns of
-            t, x, y, z, qw, qx, qy, qz. May be a package:// URL.
+        file: .npz file with the array `path` (T, 3), positions in the world [m]; optionally the
+            times `t` (T,) [s]; and optionally the orientations R_WE of the tool frame in the world,
+            as `quaternion` (T, 4), w first, of any sign and length, or as `R` (T, 3, 3). Or .csv
+            file whose header names the columns x, y, z, and optionally t, and qw, qx, qy, qz. May
+            be a package:// URL.
         duration: duration of the motion if the file has no times; the samples are then evenly
             spaced in time [s].
 
     Raises:
         ValueError: if the file cannot be read, or no movement primitive can be fitted to it; the
-            message names the sample and the valid format.
+            message names the invalid sample or the valid format.
         OSError: if the file does not exist.
     """
     path = package_file(str(file))
@@ -152,6 +154,9 @@ def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
 def primitive_constants(policy: Policy) -> dict[str, Any]:
     """Returns the constants that the position and the orientation primitive share, as keyword
     arguments of the functions that fit them.
+
+    They are the number of basis functions, the gains alpha_x and beta_x of the transformation
+    system, and the rate alpha_k of the phase.
     """
     names = ("n_basis", "alpha_x", "beta_x", "alpha_k")
     return {name: getattr(policy, name) for name in names}
@@ -209,8 +214,8 @@ def _check_arrays(arrays: dict[str, FloatArray], duration: float) -> Demonstrati
     """Checks the arrays of a demonstration file and returns them as a demonstration.
 
     Args:
-        arrays: arrays by name, as in an .npz demonstration file: `path`, and optionally `t` and
-            `quaternion` or `R`.
+        arrays: arrays by name: positions `path` (T, 3) [m], and optionally times `t` (T,) [s] and
+            orientations R_WE of the tool, `quaternion` (T, 4), w first, or `R` (T, 3, 3).
         duration: duration of a motion without times [s].
 
     Raises:

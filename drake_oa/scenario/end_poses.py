@@ -123,8 +123,9 @@ def robots_along_motion(scenario: Scenario) -> list[Robot]:
     """Returns copies of the robot's configuration block, one for each sampled orientation of the
     tool along the motion.
 
-    Each copy has one of the orientations as `rpy_WE`, in the order from start to goal. The list is
-    empty without a robot, and has one item if the orientation is constant.
+    Each copy has one of the orientations, as roll, pitch and yaw of the tool frame E in the world
+    [rad], in its field `rpy_WE`, in the order from start to goal. The list is empty without a
+    robot, and has one item if the orientation is constant.
     """
     robot = scenario.robot
     if robot is None:
@@ -141,8 +142,9 @@ def robots_along_motion(scenario: Scenario) -> list[Robot]:
 
 
 _POSE_TOLERANCE = 1e-3
-"""Maximum difference between the tool pose that `task` states for start or goal and the tool pose
-at a stated configuration, as element of position or rotation matrix [m, -]."""
+"""Maximum difference in each element of the position [m] and of the rotation matrix [-] between the
+tool pose that the task states for start or goal, and the tool pose at the configuration that it
+states."""
 _ENDS = ("start", "goal")
 """Names of the two ends of a motion, as in the field names `q_start` and `q_goal`."""
 
@@ -186,10 +188,12 @@ def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
     """Sets the tool's position and orientation at start and goal in the task to the poses at the
     configurations `task.q_start` and `task.q_goal`.
 
+    Start or goal remains unchanged if its configuration is null.
+
     Args:
         scenario: scenario, modified in place.
-        stated: names of task fields that remain unchanged; `end_positions` checks that they agree
-            with the configurations.
+        stated: names of the task's fields that remain unchanged, because the user has set them;
+            `end_positions` checks that they agree with the configurations.
 
     Raises:
         ScenarioError: for a wrong number of joints, a joint outside its limits, or a scenario

@@ -167,6 +167,10 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
 
     URLs and other values remain unchanged. In `task.demonstration`, a single file becomes a list of
     one file, and an empty text becomes an empty list.
+
+    Args:
+        data: dictionary that was read from YAML, with a dictionary for each block.
+        base: folder to which the file names are relative.
     """
     faults = data.get("faults")
     for block, field in (

@@ -44,8 +44,8 @@ class GivenEllipsoids:
 
 
 def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> Iterator[str]:
-    """Yields one error line for each invalid camera configuration, and for each camera name in the
-    perception block that is invalid.
+    """Yields one error line for each invalid camera configuration, and for each camera name or
+    camera setting in the perception block that is invalid.
 
     Args:
         perception: perception block of the scenario.

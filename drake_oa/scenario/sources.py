@@ -48,10 +48,10 @@ def camera_configs(scenario: Scenario, source: CameraSource) -> list[CameraConfi
 
 
 def with_simulated_cameras(scenario: Scenario) -> Scenario:
-    """Returns a copy of a scenario in which `!DepthCamera` replaces `!LcmCamera` and
-    `!RecordedBag`, so that its cameras are simulated.
+    """Returns a copy of a scenario whose cameras are simulated: the block `!DepthCamera` replaces
+    `!LcmCamera` (images by LCM) and `!RecordedBag` (images from a ROS 2 bag).
 
-    A scenario without these blocks is returned unchanged.
+    A scenario without cameras in its perception block is returned unchanged.
     """
     source = scenario.perception
     if not isinstance(source, CameraSource):
@@ -61,7 +61,11 @@ def with_simulated_cameras(scenario: Scenario) -> Scenario:
 
 
 def fixed_transform(transform: Transform | None, field: str) -> RigidTransform | None:
-    """Returns the pose in the world that a field of a perception block sets; None: null.
+    """Returns the pose in the world that a field of a perception block sets; None if it is null.
+
+    Args:
+        transform: value of the field.
+        field: name of the field, for error messages.
 
     Raises:
         ScenarioError: for a pose that is random or relative to another frame; names the field.
