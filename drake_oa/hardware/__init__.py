@@ -12,9 +12,9 @@ Modules that compute and send the motion (`drake-oa run --hardware`):
   of the simulated world. `robot_link` has the systems that connect the arm to the diagram, and
   checks the arm before it moves.
 - `command_streamer.CommandStreamer` runs in a separate process. The diagram writes planned
-  positions into a `SharedTrajectory`, a little ahead of time; the streamer sends them to the arm,
-  and stops the arm after a failure. Its connections to an arm are `LcmArm` and
-  `franka_arm.FrankaArm`.
+  positions, a little ahead of time, into a `SharedTrajectory` (memory that both processes share);
+  the streamer sends them to the arm, and stops the arm after a failure. Its connections to an arm
+  are `LcmArm` and `franka_arm.FrankaArm`.
 
 Modules that simulate the arm behind the messages (`drake-oa station`):
 

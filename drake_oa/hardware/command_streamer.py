@@ -67,8 +67,8 @@ statuses."""
 COMMAND_PERIOD = 0.004
 """Wall time between two commands to the arm [s]."""
 LEAD = 0.04
-"""Time by which the diagram writes planned positions ahead of the commands sent to the arm [s].
-Pauses of the diagram that last up to half of this time do not slow down the arm."""
+"""Simulated time by which the diagram writes planned positions ahead of the commands that are sent
+to the arm [s]. Pauses of the diagram that last up to half of this time do not slow down the arm."""
 _RAMP = 0.15
 """Time in which the streamed motion accelerates to full speed after a hold, and decelerates to rest
 if no valid status arrives or the end is requested [s]."""
@@ -226,6 +226,10 @@ class Arm(Protocol):
         Args:
             now: time of the wall clock [s].
 
+        Returns:
+            Time of the measurement by the wall clock [s], joint positions (7,) [rad], and joint
+            velocities (7,) by the wall clock [rad/s].
+
         Raises:
             ValueError: for an invalid status.
             ArmStoppedError: if the arm does not follow the commands of this connection.
@@ -252,12 +256,13 @@ class CommandStreamer:
 
         no valid status for `STATUS_TIMEOUT`        the arm holds, and resumes with the next status
         no valid status for `_STOP_TIMEOUT` more    the arm stops permanently
-        tracking error, second command source,      the arm stops permanently
-        or a mode in which no command is followed
+        joint too far from its recent commands,     the arm stops permanently
+        second command source, or a mode in
+        which the arm follows no commands
     """
 
     def __init__(self, trajectory: SharedTrajectory, arm: Arm, rate: float) -> None:
-        """Initializes the sender, which sends no command before positions are planned.
+        """Initializes the sender, which sends no command before the diagram has planned positions.
 
         Args:
             trajectory: trajectory shared with the diagram.
@@ -386,7 +391,7 @@ class CommandStreamer:
 
 Connect = Callable[[SharedTrajectory], Arm]
 """Type of a function that connects to an arm; it raises `ArmStoppedError` if it fails. The function
-may write into the trajectory why it waits."""
+may write into `SharedTrajectory.note` why it waits."""
 
 
 def stream_commands(
@@ -451,6 +456,10 @@ class LcmArm:
 
         Args:
             now: time of the wall clock [s].
+
+        Returns:
+            Time of the measurement by the wall clock [s], joint positions (7,) [rad], and joint
+            velocities (7,) by the wall clock [rad/s].
 
         Raises:
             ValueError: for a status that is too old or does not describe a Panda.
@@ -536,7 +545,8 @@ class CommandValidator:
 
         Args:
             q: (n,) joint positions of the arm [rad].
-            limits: limits of these joints, in the same order.
+            limits: limits of these joints, in the same order; speeds are with respect to the wall
+                clock.
         """
         self._q = np.array(q, dtype=float)
         self._v = np.zeros_like(self._q)

@@ -19,17 +19,20 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.hardware.command_streamer import LEAD, ArmStoppedError, SharedTrajectory, Status
 
 TARGET_PERIOD = 0.008
-"""Wall time between two targets, equal to the period of MotionGuard [s]."""
+"""Wall time between two targets (joint positions to which the robot's controller moves), equal to
+the default time step with which MotionGuard commands the joints [s]."""
 _GOAL_TOLERANCE = 1e-3
-"""Distance from a target at which the controller reports that it is reached [rad]."""
+"""Distance of the joints from a target at which the controller reports that the target is reached
+[rad]."""
 _LAG_GAIN = 0.1
-"""Fraction of the measured lag by which the lookahead changes with each target."""
+"""Gain of the integral that computes the lookahead, the time by which targets are ahead of the
+executed time: fraction of the arm's measured lag that is added with each target [-]."""
 _MIN_SPEED = 0.05
-"""Minimum planned speed, as the norm of all joints' speeds, at which the lag is measured [rad/s].
-"""
+"""Minimum planned speed, as the norm of all joints' speeds, at which the lag of the arm behind the
+planned motion is measured [rad/s]."""
 _REST_SPEED, _REST_STATES = 0.01, 1000
-"""Maximum speed of each joint of an arm at rest [rad/s], and maximum number of states in which the
-arm must come to rest, or recover from an error."""
+"""Maximum speed of each joint of an arm at rest [rad/s], and maximum number of states received from
+the robot until the arm is at rest, or has recovered from an error."""
 
 _logger = logging.getLogger("drake_oa")
 """Logger of the package drake_oa, for warnings about the arm."""
@@ -45,10 +48,10 @@ _MODES = {
 """Descriptions of the robot modes in which the arm does not follow targets, by name of the mode."""
 
 _ERRORS = "package://drake_oa/fr3/errors.yaml"
-"""Table of the errors of the robot's controller: name -> cause and remedy."""
+"""YAML file with cause and remedy of the errors of the robot's controller, by name of the error."""
 _OTHER = "a motion of another client or of Desk: end it"
-"""Cause and remedy of errors that are not in the table: those of Cartesian motions, forces and
-torques, which are not commanded here."""
+"""Cause and remedy of errors that are not in the file `_ERRORS`: those of Cartesian motions, forces
+and torques, which this package does not command."""
 
 
 @cache
@@ -61,10 +64,11 @@ def error_texts() -> dict[str, str]:
 class FrankaArm:
     """Connection to a Franka Research 3 that follows targets of its joint positions.
 
-    The targets are positions on the planned motion, ahead of the executed time by a lookahead. The
-    controller's motion to a target lags, because it could stop there. The lookahead is the integral
-    of this lag, measured by the controller's desired positions, and at most `LEAD`. Without new
-    targets the arm stops on the planned motion.
+    The targets are joint positions on the planned motion, ahead of the executed time by a time, the
+    lookahead. The robot's controller plans each motion so that it can stop at the target; the arm
+    therefore lags behind the executed time. The lookahead is the integral of this lag, measured by
+    the controller's desired positions, and at most `LEAD`. Without new targets the arm stops on the
+    planned motion.
 
     Attributes:
         name: address of the robot.
@@ -105,6 +109,9 @@ class FrankaArm:
         Args:
             now: time of the wall clock [s].
 
+        Returns:
+            `now`, and the measured positions (7,) [rad] and velocities (7,) [rad/s] of the joints.
+
         Raises:
             ArmStoppedError: if the connection is lost, or the robot does not follow targets.
         """
@@ -116,9 +123,13 @@ class FrankaArm:
         return now, np.array(state.q), np.array(state.dq)
 
     def send(self, now: float, q: FloatArray) -> None:
-        """Sends the target for the planned joint positions q (7,) [rad] at the executed time.
+        """Sends the next target of the joint positions to the robot.
 
         The first call starts the motion generator of the robot.
+
+        Args:
+            now: time of the wall clock, which is not used [s].
+            q: (7,) planned joint positions at the executed time [rad].
 
         Raises:
             ArmStoppedError: if the robot rejects the motion, or the connection is lost.
@@ -174,11 +185,11 @@ class FrankaArm:
         _logger.warning("robot recovered from %s", reasons)
 
     def _wait(self, name: str, is_reached: Callable[[Any], bool]) -> None:
-        """Reads states of the robot until a condition is reached, at most `_REST_STATES`.
+        """Reads states of the robot, at most `_REST_STATES`, until one of them meets a condition.
 
         Args:
             name: name of the condition in the error.
-            is_reached: condition of a state.
+            is_reached: function that returns whether a state meets the condition.
 
         Raises:
             ArmStoppedError: if the connection is lost, or the condition is not reached.

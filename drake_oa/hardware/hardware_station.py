@@ -61,8 +61,8 @@ def hardware_scenario(scenario: Scenario, lcm_url: str, image_delay: float = 0.0
     Args:
         scenario: scenario with `!DepthCamera` or `!LcmCamera`.
         lcm_url: URL of the LCM bus.
-        image_delay: known delay of the images [s], by which the guard's limit for the age of
-            images, `guard.stale_frames`, is raised.
+        image_delay: delay of the images, in simulated time, for which the motion guard must not
+            slow the arm [s]; raises `guard.stale_frames`, its limit for the age of images.
 
     Raises:
         ScenarioError: naming a field that requires a simulated world, or if the scenario has no
@@ -106,11 +106,14 @@ def add_hardware(
 
     Args:
         signals: builder of the diagram; the added signals are the same as those of the simulated
-            station (`add_station`).
+            station (`drake_oa.diagrams.station.add_station`).
         scenario: scenario from `hardware_scenario`.
-        avoid_obstacles: whether the diagram avoids obstacles, passed to `add_station`.
+        avoid_obstacles: whether the diagram avoids obstacles, and therefore has cameras.
         link: link to the arm.
-        q_measured: (n,) measured configuration of the robot [rad, m].
+        q_measured: (n,) configuration of the robot, with measured joints of the arm [rad, m].
+
+    Returns:
+        Plant and scene graph of the robot model, and cameras, as for a simulated station.
 
     Raises:
         ScenarioError: naming the invalid field of the scenario.
@@ -133,7 +136,7 @@ def _without_obstacles(directives: list[ModelDirective]) -> list[ModelDirective]
     obstacles replace them on hardware.
 
     Each included file is replaced by its directives. Obstacles are recognized by the prefix
-    `OBSTACLE_PREFIX`.
+    "obstacle" of their names.
     """
     models = []
     for directive in flat_directives(directives):

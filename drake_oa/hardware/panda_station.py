@@ -243,10 +243,11 @@ class PandaStation:
 
     @property
     def is_finished(self) -> bool:
-        """Whether a station that waits for its first command (`waits`) has ended its run.
+        """Whether a station that was created with `waits=True` has ended its run.
 
-        It has after that command, when valid commands have ceased and all bodies have been at rest
-        for a while. Always False for other stations, which run until they are stopped.
+        The run ends after the first command, once no valid commands are received, and the robot has
+        been at rest and no obstacle has changed for 1 s. Always False for other stations, which run
+        until they are stopped.
         """
         root = self.simulator.get_context()
         state = self.diagram.GetOutputPort("robot_state").Eval(root)
@@ -259,8 +260,9 @@ class PandaStation:
         """Runs the station until a simulated time, or until `is_finished`, no faster than at its
         rate of simulated time to wall time.
 
-        If steps last too long, later steps are faster to catch up with the wall clock, but only by
-        up to `_CATCH_UP`. Otherwise the arm would move faster by the wall clock than commanded.
+        If a step lasts too long, later steps are faster until the simulation has caught up with the
+        wall clock. They compensate delays of at most 20 ms, because after a longer delay the arm
+        would move faster by the wall clock than commanded.
 
         Args:
             duration: simulated time at which the run ends [s]; inf: the run ends when `each_step`

@@ -143,6 +143,8 @@ class RobotLink:
         """Converts a recent time of the wall clock to simulated time [s]: the time in the planned
         motion that the arm had executed then, if it has moved at the full rate since.
 
+        In the warm-up before the motion, it is `rate` times the wall time since the warm-up began.
+
         Args:
             stamp: time of the wall clock [s].
         """
@@ -207,7 +209,10 @@ class RobotLink:
 
     def write(self, t: float, q: FloatArray) -> None:
         """Writes planned joint positions for the command streamer, and waits until simulated time
-        is at most `LEAD` ahead of the arm.
+        is at most `LEAD` (0.04 s) ahead of the arm.
+
+        In the warm-up before the motion, nothing is written, and simulated time waits for the wall
+        clock.
 
         Args:
             t: simulated time [s].
@@ -270,8 +275,8 @@ class CommandStream(LeafSystem):
       table. At initialization, the perceived table is compared with the configured table
       (`check_table`). Not connected: the table is not checked.
 
-    The system writes positions every `COMMAND_PERIOD`, and waits while simulated time is more than
-    `LEAD` ahead of the arm.
+    The system writes positions every 0.004 s of simulated time (`COMMAND_PERIOD`), and waits while
+    simulated time is more than 0.04 s (`LEAD`) ahead of the arm.
     """
 
     def __init__(
@@ -317,8 +322,8 @@ def check_table(perceived: ObstacleClouds, table: TablePlane | None) -> None:
         table: configured table plane; None: no check.
 
     Raises:
-        HardwareError: if no table is perceived, or if its height or tilt differs from that of the
-            configured table.
+        HardwareError: if no table is perceived, or if it differs from the configured table by more
+            than 15 mm in height or 1.5 degrees in tilt.
     """
     if table is None:
         return

@@ -71,14 +71,13 @@ def read_demonstration(file: str | Path, duration: float = 5.0) -> Demonstration
             times `t` (T,) [s]; and optionally the orientations R_WE of the tool frame in the world,
             as `quaternion` (T, 4), w first, of any sign and length, or as `R` (T, 3, 3). Or .csv
             file whose header names the columns x, y, z, and optionally t, and qw, qx, qy, qz. May
-            be a package:// URL.
+            be a package://drake_oa/ URL.
         duration: duration of the motion if the file has no times; the samples are then evenly
             spaced in time [s].
 
     Raises:
-        ValueError: if the file cannot be read, or no movement primitive can be fitted to it; the
-            message names the invalid sample or the valid format.
-        OSError: if the file does not exist.
+        ValueError: if the file does not exist or cannot be read, or no movement primitive can be
+            fitted to it; the message names the invalid sample or the valid format.
     """
     path = package_file(str(file))
     is_csv = path.suffix.lower() == ".csv"
