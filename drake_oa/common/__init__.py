@@ -6,14 +6,16 @@ These modules do not import any layer.
 - `messages`: immutable messages on the abstract ports between layers: `ObstacleClouds`,
   `EllipsoidSet`, `Route`, `CouplingParameters`, `PolicyState`, `PlannedMotion`. Copying a message
   returns the same object, so that a Context clones in constant time.
-- `signal_builder`: a builder of diagrams that connects ports by the names of their signals.
-- `ports`: typed reading of abstract input ports, and output ports of an abstract state.
+- `signal_builder`: a builder of diagrams that connects ports by signals, which are named values.
+- `ports`: typed reading of abstract input ports, and output ports that publish attributes of a
+  system's abstract state.
 - `config`: validation of configuration blocks: units, ranges, YAML data.
 - `latency`: simulated compute latency of decisions (`LatencyModel`, block `compute_latency`), and
   a decision that is being computed while the previous one stays active (`PendingDecision`).
-- `compiled`: decorators of numba kernels, and the folder that caches the machine code of the
-  kernels; `numba_tools`: the processor for which this code is generated.
-- `files`: atomic replacement of files, software versions and source digest of a result.
+- `compiled`: decorators of functions that numba compiles (kernels), and the folder that caches the
+  machine code of the kernels; `numba_tools`: the processor for which this code is generated.
+- `files`: atomic replacement of files; the software versions, and the digest (hash) of the source
+  files, that are saved with a result.
 - `bags`: ROS 2 messages, and the files to which they are written.
 - `console`: exit statuses, errors, tables and progress of the commands.
 

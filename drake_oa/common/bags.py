@@ -26,36 +26,45 @@ SECOND = 1_000_000_000
 
 @cache
 def typestore() -> Any:
-    """Returns the message types of ROS 2 Jazzy, with functions that decode messages.
+    """Returns the message types of ROS 2 Jazzy (a `Typestore` of rosbags), which decodes messages.
 
     Raises:
-        ValueError: if rosbags is not installed; names the extra that installs it.
+        ValueError: if rosbags is not installed; names the pip extra that installs it.
     """
     typesys = import_extra("rosbags.typesys", "bags")
     return typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
 
 
 def header(time: float, frame: str = WORLD) -> dict[str, Any]:
-    """Returns the fields of a message header with a stamp [s] and the name of a frame."""
+    """Returns the fields of a message of type std_msgs/msg/Header.
+
+    Args:
+        time: stamp of the message [s].
+        frame: name of the frame of the message's data.
+    """
     second, nanosecond = divmod(round(time * SECOND), SECOND)
     return {"stamp": {"sec": second, "nanosec": nanosecond}, "frame_id": frame}
 
 
 def vector(values: Iterable[float]) -> dict[str, float]:
-    """Returns the fields of a point or vector (3,), or of a quaternion (4,) x, y, z, w."""
+    """Returns the fields x, y, z (and w) of the message of a vector, point or quaternion.
+
+    Args:
+        values: (3,) vector or point, or (4,) quaternion in the order x, y, z, w.
+    """
     return dict(zip("xyzw", values, strict=False))
 
 
 def quaternion(R: RotationMatrix) -> dict[str, float]:
-    """Returns the fields of the quaternion message of a rotation."""
+    """Returns the fields x, y, z, w of the quaternion message of a rotation matrix."""
     w, x, y, z = R.ToQuaternion().wxyz()
     return vector((x, y, z, w))
 
 
 class BagWriter:
-    """Writer of ROS 2 messages to a bag, which `new_bag` creates.
+    """Writer of ROS 2 messages to a bag (an MCAP file), which `new_bag` creates.
 
-    The first message creates the file. A run that fails before it replaces no earlier bag.
+    The first message creates the file. Until then, an existing file of this name is unchanged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -65,7 +74,7 @@ class BagWriter:
             path: MCAP file of the bag, which is replaced; its folder exists.
 
         Raises:
-            ValueError: if an optional package is not installed; names the extra that installs it.
+            ValueError: if an optional package is missing; names the pip extra that installs it.
         """
         self._mcap = import_extra("mcap_ros2.writer", "bags")
         self._path, self._closing = path, contextlib.ExitStack()
@@ -77,9 +86,11 @@ class BagWriter:
 
         Args:
             topic: topic of the message, on which all messages have the same type.
-            kind: type of the message, for example "std_msgs/msg/Header".
-            time: time of the message, also in its fields `header` and `stamp` [s].
-            frame: name of the frame in its header.
+            kind: type of the message, for example "std_msgs/msg/JointState".
+            time: time of the message [s]. It is also the stamp in the field `header`, or in the
+                field `stamp` of a message without header.
+            frame: name of the frame in the field `header`, or in the field `frame_id` of a message
+                without header.
             values: other fields by name: numbers, texts, bytes, lists, and dictionaries for
                 fields that are messages. Fields without a value are zero or empty.
 
@@ -123,6 +134,6 @@ def new_bag(path: Path) -> contextlib.closing[BagWriter]:
         path: MCAP file of the bag, which is replaced; its folder exists.
 
     Raises:
-        ValueError: if an optional package is not installed; names the extra that installs it.
+        ValueError: if an optional package is not installed; names the pip extra that installs it.
     """
     return contextlib.closing(BagWriter(path))

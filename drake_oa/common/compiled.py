@@ -25,17 +25,18 @@ from numpy.typing import ArrayLike, NDArray
 from drake_oa.common.files import user_cache
 
 CORES = max(len(os.sched_getaffinity(0)), 1)
-"""Number of processor cores that this process may use, for parallel kernels."""
+"""Number of processor cores that this process may use, for parallel calls of compiled functions."""
 
 
 class KernelCacheLocator(InTreeCacheLocator):
-    """Cache locator for numba: determines the folder of a kernel's cached machine code, and the
-    stamp of its source.
+    """Cache locator for numba: determines the folder of the cached machine code of a kernel
+    (compiled function), and the stamp of its source.
 
     The folder is `__pycache__` beside the source, or, if that is read-only, a copy in the user's
-    cache, or else a temporary folder. Cached code is used only if its stamp is equal. Numba's own
-    stamp covers only the file of the kernel, so that outdated code of called kernels would be used.
-    This stamp also covers the called kernels and the constants that the kernel uses.
+    cache, or else a temporary folder. Numba uses cached code only if the stamp that was saved with
+    the code equals the present stamp. Numba's own stamp covers only the file of the kernel, so that
+    outdated code of called kernels would be used. This stamp also covers the called kernels and the
+    constants that the kernel uses.
     """
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
@@ -86,11 +87,11 @@ class KernelCacheLocator(InTreeCacheLocator):
 
 @cache
 def _kernel_folder(beside: str) -> str:
-    """Returns a writable cache folder for the machine code of kernels.
+    """Returns a writable cache folder for the machine code of numba-compiled functions (kernels).
 
     Args:
-        beside: preferred folder, beside the source. If it is not writable, the result is a copy in
-            the user's cache, or else a temporary folder.
+        beside: preferred folder, beside the source. If it is not writable, the result is a copy of
+            this folder in the user's cache, or else a temporary folder.
     """
     with suppress(OSError):
         Path(beside).mkdir(exist_ok=True)
@@ -119,25 +120,28 @@ numba.config.CACHE_LOCATOR_CLASSES = ",".join(
 # Each decorator sets fastmath explicitly. Otherwise a kernel would be compiled with the setting of
 # its first caller, and cached for all callers; with fastmath, 0 * inf is undefined.
 compiled = njit(cache=True, error_model="numpy", fastmath=False, _nrt=True)
-"""Decorator of a kernel: `numba.njit` with a cache on disk, division by zero as in NumPy, and
-without fastmath."""
+"""Decorator of a kernel (function that numba compiles): `numba.njit` with a cache on disk, division
+by zero as in NumPy, and without fastmath."""
 
 leaf = njit(cache=True, error_model="numpy", fastmath=False, _nrt=False)
-"""Decorator of a short kernel that allocates no arrays: like `compiled`, but without reference
-counting.
+"""Decorator of a short kernel (function that numba compiles) that allocates no arrays.
 
-Reference counting costs 10 ns per array and call, more than a short kernel with many arrays.
+It is `numba.njit` as in the decorator `compiled` (cache on disk, division by zero as in NumPy,
+without fastmath), but without reference counting of arrays. Reference counting costs 10 ns per
+array and call, more than the computation in a short kernel with many arrays.
 """
 
 parted = njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
-"""Decorator of a kernel that `on_cores` runs in parallel threads: like `compiled`, but without the
-global interpreter lock."""
+"""Decorator of a kernel (function that numba compiles) that `on_cores` runs in parallel threads.
+
+It is `numba.njit` as in the decorator `compiled` (cache on disk, division by zero as in NumPy,
+without fastmath), and the kernel releases Python's global interpreter lock."""
 
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    """Returns the pool of threads in which `on_cores` runs the parts of a kernel, created once per
-    process.
+    """Returns the pool of threads in which `on_cores` runs the parts of a numba-compiled function
+    in parallel; the pool is created once per process.
     """
     return ThreadPoolExecutor(max(CORES - 1, 1), "on_cores")
 
@@ -149,7 +153,8 @@ def on_cores(kernel: Callable[..., None], parts: int, *arguments: Any) -> None:
     6 ms of processor time.
 
     Args:
-        kernel: kernel that computes one part of a result and writes it to its arguments.
+        kernel: numba-compiled function with the decorator `parted`, which computes one part of a
+            result and writes it to arrays among `arguments`.
         parts: number of parts.
         arguments: other arguments of the kernel.
     """
@@ -160,8 +165,9 @@ def on_cores(kernel: Callable[..., None], parts: int, *arguments: Any) -> None:
 
 
 def kernel_arrays(*arrays: ArrayLike) -> list[NDArray[np.float64]]:
-    """Returns writable, C-contiguous float64 copies of arrays, as arguments for kernels.
+    """Returns writable, C-contiguous float64 copies of arrays, as arguments for numba-compiled
+    functions (kernels).
 
-    Numba would compile each kernel again for the read-only arrays of frozen dataclasses.
+    Numba would compile each kernel again for the read-only arrays of messages (frozen dataclasses).
     """
     return [np.array(array, dtype=float, order="C") for array in arrays]

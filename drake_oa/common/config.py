@@ -48,12 +48,14 @@ BLOCK = ConfigDict(
     validate_default=True,
     arbitrary_types_allowed=True,
 )
-"""Pydantic settings of every configuration block: unknown fields and non-finite numbers are
-errors."""
+"""Pydantic settings of every configuration block, a dataclass that is read from YAML.
+
+Unknown fields and non-finite numbers are errors. Values are checked at construction, defaults
+included, and at each assignment."""
 
 
 class ScenarioError(ValueError):
-    """Error for a scenario that cannot be run, with a message that names each wrong field.
+    """Error for a scenario (configuration of a run) that cannot be run, naming each wrong field.
 
     Attributes:
         problems: one line for each wrong field: its name, the problem and the valid values.
@@ -64,7 +66,7 @@ class ScenarioError(ValueError):
 
         Args:
             problems: one line for each wrong field.
-            file: name of the file with the fields; empty: not stated.
+            file: name of the scenario file, with which the message begins; empty: no name.
         """
         start = f"{file}: " if file else ""
         lines = problems if len(problems) == 1 else [f"{len(problems)} wrong fields:", *problems]
@@ -85,8 +87,11 @@ def field_errors(field: str, *kinds: type[Exception]) -> Iterator[None]:
     """Converts exceptions in the `with` block to a `ScenarioError` that names a field.
 
     Args:
-        field: full name of the field, such as "task.goal".
+        field: full name of the field, such as "task.goal", with which the message begins.
         kinds: types of the exceptions that are converted.
+
+    Raises:
+        ScenarioError: in place of an exception of one of these types.
     """
     try:
         yield
@@ -175,7 +180,7 @@ class Tagged:
 
 def _without_tag(data: Any) -> Any:
     """Returns the plain data of a configuration block without the key "_tag", which stores the YAML
-    tag of the block.
+    tag of the block; data that are no mapping are returned unchanged.
     """
     if isinstance(data, Mapping):
         return {name: value for name, value in data.items() if name != "_tag"}
@@ -331,7 +336,11 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
 
 
 def _limits(metadata: Iterable[Any]) -> list[str]:
-    """Returns the limits of a numeric field as texts such as ">= 0", from pydantic's metadata."""
+    """Returns the limits of a numeric field as texts such as ">= 0".
+
+    Args:
+        metadata: metadata of the field from pydantic, such as `annotated_types.Ge(0)`.
+    """
     signs = {"gt": ">", "ge": ">=", "le": "<="}
     return [
         f"{sign} {getattr(item, name):g}"
@@ -364,7 +373,7 @@ def check_choice(subject: str, choices: Collection[str], *names: str) -> None:
         names: names to check.
 
     Raises:
-        ValueError: for the first other name; lists the choices.
+        ValueError: for the first name that is not a choice; lists the choices.
     """
     for name in names:
         if name not in choices:
@@ -384,7 +393,7 @@ def check_lcm_url(url: str, field: str) -> str:
 
     Args:
         url: PROVIDER://ADDRESS. LCM itself only logs an unknown provider.
-        field: name of the field or option, for errors.
+        field: name of the scenario field or command-line option, for errors.
 
     Raises:
         ScenarioError: naming the valid providers.
@@ -459,8 +468,8 @@ def apply_override(data: dict[str, Any], override: str) -> None:
     If c is a block without a tag, its fields are merged into an existing block b.
 
     Args:
-        data: plain data of a scenario, modified in place.
-        override: override in this form.
+        data: plain data of a scenario (dictionaries, lists, numbers, texts), modified in place.
+        override: text of the form "a.b=c", such as "task.clearance=0.1".
 
     Raises:
         ScenarioError: if the override has another form, c is not valid YAML, or a is not a block.

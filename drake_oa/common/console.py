@@ -51,7 +51,8 @@ def announce_first_use(work: str) -> None:
     """Prints a line on stderr about slow work, at its first use in a process.
 
     Args:
-        work: description of the work, whose result is cached for later uses.
+        work: text of the line, a description of the work, whose result is cached for later uses.
+            Later calls with the same text print nothing.
     """
     print(f"{work} (first use only) ...", file=sys.stderr)
 
@@ -62,7 +63,7 @@ class Column(NamedTuple):
     Attributes:
         key: key of the column's values in the rows of the table.
         heading: quantity and unit; None: the key is the heading.
-        form: format string of numbers; texts are printed as they are.
+        form: format string of numbers, such as "{:.3f}"; texts are printed as they are.
         scale: factor by which numbers are multiplied before they are formatted.
         side: alignment; None: "left" in the first column, "right" in others.
     """

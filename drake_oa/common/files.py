@@ -24,11 +24,11 @@ _SOURCES = {
     "drake_oa.diagrams": ("*.py", "*.scenario.yaml"),
     "drake_oa.models": ("*.sdf", "*.yaml", "*.urdf", "*.obj", "*.npz", "*.safetensors"),
 }
-"""Name patterns of the source and model files that `source_digest` covers, by Python package."""
+"""Name patterns of the files of which `source_digest` computes a hash, by Python package."""
 _NOT_IN_DIGEST = ("app", "benchmark.py", "diagrams", "hardware", "models", "training", "viewing")
-"""Folders and files of a package that `source_digest` does not cover.
+"""Folders and files of a package that are not part of the hash that `source_digest` computes.
 
-They do not affect simulated motions, or have their own entry in `_SOURCES`."""
+They do not affect simulated motions, or are packages with their own entry in `_SOURCES`."""
 
 _PLOT_STYLE: tuple[Any, ...] = ("tableau-colorblind10", {"axes.grid": True, "legend.fontsize": 7})
 """Matplotlib styles of all figures of this package, with colors for color-blind readers."""
@@ -40,7 +40,11 @@ class OutputError(OSError):
 
 @contextlib.contextmanager
 def output_errors(path: Path) -> Iterator[None]:
-    """Converts an OSError of a block that writes a file to an `OutputError` that names the file."""
+    """Converts an OSError in the `with` block, which writes a file, to an `OutputError`.
+
+    Args:
+        path: path of the file, which the message of the error names.
+    """
     try:
         yield
     except OSError as error:
@@ -151,7 +155,15 @@ def replace_json(path: Path | None, content: object) -> None:
 
 
 def replace_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Replaces a compressed .npz archive of named arrays atomically, by `replace_file`."""
+    """Replaces a compressed .npz archive atomically, by `replace_file`.
+
+    Args:
+        path: file to replace.
+        arrays: arrays by name.
+
+    Raises:
+        OutputError: if the file cannot be written.
+    """
     import numpy as np
 
     def write(temporary: Path) -> None:
@@ -183,13 +195,13 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 def cached_arrays(
     name: str, compute: Callable[[], Mapping[str, Any]]
 ) -> Mapping[str, NDArray[Any]]:
-    """Returns the results of a slow computation, which are cached in a file of the user.
+    """Returns the results of a slow computation, which are cached in a file in the user's cache.
 
-    If the file is missing or damaged, the results are computed and saved.
+    If the file is missing or damaged, the results are computed and, if possible, saved.
 
     Args:
-        name: <folder>/<digest>, the name of the file without suffix. The digest must cover all
-            inputs of the computation.
+        name: <folder>/<digest>, the name of the file in the cache without suffix. The digest must
+            be a hash of all inputs of the computation.
         compute: function that computes the results, arrays by name.
 
     Returns:
@@ -207,7 +219,7 @@ def cached_arrays(
 
 @contextlib.contextmanager
 def saved_figure(path: Path, width: float, height: float, title: str = "") -> Iterator[Figure]:
-    """Provides an empty figure in the common style, and saves the figure after the `with` block.
+    """Provides an empty figure in the style of this package, and saves it after the `with` block.
 
     The file is replaced atomically.
 
@@ -238,7 +250,7 @@ def user_cache(name: str) -> Path:
     """Returns the path of a file or folder in the user's cache, which may not exist yet.
 
     Args:
-        name: path relative to the cache folder of this package.
+        name: path relative to the cache folder of this package, ~/.cache/drake_oa by default.
     """
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "drake_oa" / name
@@ -250,7 +262,10 @@ def package_folder(name: str) -> Path:
 
 
 def package_file(url_or_file: str) -> Path:
-    """Returns the path of a file that is given as a path or as a `package://drake_oa/...` URL."""
+    """Returns the path of a file that is given as a path or as a `package://drake_oa/...` URL.
+
+    Such a URL names a file in the package's folder `models`.
+    """
     name = url_or_file.removeprefix("package://drake_oa/")
     return package_folder("drake_oa.models") / name if name != url_or_file else Path(name)
 
@@ -276,8 +291,8 @@ def import_extra(module: str, extra: str) -> Any:
 def installed_package(name: str) -> Path | None:
     """Returns the folder of package://<name> if a package `name` is installed in the environment.
 
-    The folder is share/<name> in the files of the Python distribution `name`, otherwise the folder
-    of the Python package `name`. The package is not imported.
+    The folder is share/<name> among the installed files of the Python distribution `name`,
+    otherwise the folder of the Python package `name`. The package is not imported.
 
     Returns:
         Path of the folder; None if there is neither.
@@ -295,8 +310,9 @@ def installed_package(name: str) -> Path | None:
 
 
 _TEXT = re.compile(rb'^\s*(?:#.*$|r?"""(?s:.*?)"""\s*$)|("""(?s:.*?)""")', re.MULTILINE)
-"""Regular expression of the parts of a Python file that `source_digest` ignores: comment lines and
-docstrings, with blank lines before them. The group matches other strings, which are not ignored."""
+"""Regular expression of the parts of a Python file that do not enter the hash of `source_digest`:
+comment lines and docstrings, with blank lines before them. Its group matches other strings in
+triple quotes, which do enter the hash."""
 
 
 @cache
@@ -322,7 +338,11 @@ def source_digest() -> str:
 
 
 def provenance() -> dict[str, str]:
-    """Returns the provenance of a result: version of this package, date (UTC) and source digest."""
+    """Returns the provenance of a result as texts by name.
+
+    These are "version" (of this package), "date" (UTC) and "source_digest", the hash of the source
+    and model files that affect simulated motions.
+    """
     from importlib.metadata import version
 
     return {
@@ -333,7 +353,11 @@ def provenance() -> dict[str, str]:
 
 
 def software_versions() -> dict[str, str]:
-    """Returns the versions of the packages that affect a result, the date and the source digest."""
+    """Returns the versions of the installed packages that affect a result, by package name.
+
+    The keys "date" (UTC) and "source_digest" are added. The latter is the hash of the source and
+    model files of this package that affect simulated motions.
+    """
     from importlib.metadata import PackageNotFoundError, version
 
     versions = {}

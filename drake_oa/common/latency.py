@@ -1,8 +1,9 @@
 """Simulated compute latency: work counters, duration of a decision, and the decision in progress.
 
-A measured time would differ between runs; counted work is the same on every machine. `counted`
-opens a counter, and the roll-outs and clearance computations of a decision add to it by `count`.
-`LatencyModel` converts the counts to seconds.
+A decision is one periodic computation of a layer, such as the search for a motion. Its measured
+duration would differ between runs; counted work is the same on every machine. `counted` opens
+counters, and the roll-outs (simulations of motions) and clearance computations of a decision add to
+them by `count`. `LatencyModel` converts the counts to seconds.
 """
 
 import dataclasses as dc
@@ -24,12 +25,13 @@ from drake_oa.common.messages import Frozen
 class LatencyModel:
     """Model that converts the counted work of a decision to its simulated compute latency.
 
-    The default times are those of two cores of a Xeon at 2.1 GHz.
+    A decision is one periodic computation of the motion search or of the motion guard. The default
+    times are those of two cores of a Xeon at 2.1 GHz.
     """
 
     decision: float = Field(default=1e-3, ge=0.0, le=1.0)
-    """Compute time of one decision, apart from its counted work [s]. Raising it delays every
-    decision."""
+    """Compute time of one decision (computation of a motion or maneuver), apart from its counted
+    work [s]. Raising it delays every decision."""
     search: float = Field(default=2.5e-3, ge=0.0, le=1.0)
     """Compute time of one batch of roll-outs (simulations of candidate motions) [s]. Raising it
     delays searches."""
@@ -40,8 +42,9 @@ class LatencyModel:
     """Compute time of the clearance of the whole arm in one configuration [s]. Raising it delays
     searches and maneuvers."""
     claim: float = Field(default=2e-4, ge=0.0, le=1.0)
-    """Compute time of the check of one trajectory for claim (A) of passive motion safety [s]. A
-    check of claim (B) counts as three. Raising it delays maneuvers."""
+    """Compute time of the check of one trajectory for claim (A) of passive motion safety: the arm
+    rests or moves away where a moving obstacle may reach it [s]. The check of claim (B), a speed
+    limit toward unobserved space, counts as three. Raising it delays maneuvers."""
 
     def seconds(self, work: Counter[str]) -> float:
         """Returns the compute latency of a decision [s] from its work, counted by `counted`."""
@@ -55,9 +58,10 @@ class LatencyModel:
 
 
 _account: ContextVar[Counter[str]] = ContextVar("work")
-"""Counters (searches, time steps, configurations, claims) of the innermost `counted` block, which
-installs new counters at its begin; `count` increases them, so that the simulated latency of a
-decision of a planner can be computed from its work."""
+"""Counters of the computing work in the innermost `with counted()` block.
+
+`counted` installs new counters at the begin of the block, and `count` increases them. The counters
+are those of `counted`: "searches", "steps", "configurations" and "claims"."""
 
 
 @contextmanager
@@ -68,8 +72,9 @@ def counted() -> Iterator[Counter[str]]:
 
     Yields:
         Numbers of "searches" (batches of roll-outs), "steps" (time steps of all roll-outs),
-        "configurations" (clearance computations of the arm among the collision geometry) and
-        "claims" (checks of trajectories for passive motion safety).
+        "configurations" (computations of the whole arm's clearance in one configuration) and
+        "claims" (checks of a trajectory's speed near moving obstacles, counted as 1, and near
+        unobserved space, counted as 3).
     """
     work = Counter[str]()
     token = _account.set(work)
@@ -86,7 +91,9 @@ def count(**work: int) -> None:
     Does nothing outside of such a block.
 
     Args:
-        work: numbers to add to the counters "searches", "steps", "configurations" and "claims".
+        work: numbers to add to the counters "searches" (batches of roll-outs), "steps" (time steps
+            of roll-outs), "configurations" (computations of the arm's clearance) and "claims"
+            (checks of trajectories for passive motion safety).
     """
     _account.get(Counter()).update(work)
 
@@ -99,11 +106,11 @@ class PendingDecision(Frozen, Generic[T]):
     """Active decision of a layer, and the next decision while it is computed with simulated
     latency.
 
-    Only one decision is computed at a time. It uses the inputs at its start, and becomes active at
-    `due`.
+    Only one decision is computed at a time. It uses the inputs at its start. It is completed at the
+    simulated time `due`, and becomes active when its owner then calls `activate`.
 
     =========  ===========================  ================================================
-    State      Condition                    Next state
+    State      Condition                    Method and next state
     =========  ===========================  ================================================
     idle       `pending` is None            `start`: computing; without latency model: idle,
                                             and the new decision is active at once
@@ -113,10 +120,12 @@ class PendingDecision(Frozen, Generic[T]):
 
     Attributes:
         active: decision that is executed.
-        pending: decision in progress; None: no decision is in progress.
-        due: time at which the pending decision is completed [s]; inf without one.
-        start_time: start of the last decision [s]; NaN before the first.
-        latency: compute latency of the last decision [s].
+        pending: decision in progress or completed, not active yet; None: there is no such decision.
+        due: simulated time at which the pending decision is completed [s]; inf without one.
+        start_time: simulated time of the start of the last decision [s]; NaN before the first, and
+            always without latency model.
+        latency: compute latency of the last decision [s]; 0 before the first, and always without
+            latency model.
     """
 
     active: T
@@ -132,7 +141,7 @@ class PendingDecision(Frozen, Generic[T]):
 
         Args:
             decide: function that computes the decision from the active one.
-            time: current time [s].
+            time: current simulated time [s].
             compute_latency: model of the decision's compute latency; None: no latency, the
                 decision is active at once.
         """
@@ -147,7 +156,7 @@ class PendingDecision(Frozen, Generic[T]):
         return dc.replace(self, pending=result, due=due, start_time=time, latency=latency)
 
     def result_at(self, time: float) -> T | None:
-        """Returns the pending decision if it is completed at a time [s], otherwise None."""
+        """Returns the pending decision if it is completed at a simulated time [s], else None."""
         return self.pending if self.due <= time else None
 
     def activate(self) -> Self:
@@ -162,5 +171,8 @@ class PendingDecision(Frozen, Generic[T]):
 
     @property
     def timing(self) -> tuple[float, float]:
-        """Start time and compute latency of the last decision [s]."""
+        """Start (simulated time) and compute latency of the last decision [s].
+
+        They are NaN and 0 before the first decision, and always without latency model.
+        """
         return (self.start_time, self.latency)

@@ -23,9 +23,10 @@ BoolArray = NDArray[np.bool_]
 
 
 PART_ID_STRIDE = 2**20
-"""Difference between the IDs of two consecutive ellipsoids of one obstacle.
+"""Difference between the IDs of two consecutive ellipsoids (parts) of one obstacle.
 
-The track ID of the obstacle is the remainder ID % PART_ID_STRIDE."""
+The ID of an ellipsoid is track ID + part * PART_ID_STRIDE, with part = 0, 1, ...; the track ID, the
+number of the obstacle in perception, is the remainder ID % PART_ID_STRIDE."""
 
 
 class Frozen:
@@ -63,7 +64,7 @@ class TablePlane(Frozen):
     Points Q of the plane satisfy ``normal_W . p_WQ = offset``.
 
     Attributes:
-        normal_W: (3,) unit normal in the world frame, pointing to free space.
+        normal_W: (3,) unit normal in the world frame, pointing to the free space above the table.
         offset: signed distance of the plane from the world origin along the normal [m].
     """
 
@@ -71,7 +72,11 @@ class TablePlane(Frozen):
     offset: float = 0.0
 
     def height(self, p_WQ: FloatArray) -> FloatArray:
-        """Computes the signed heights (...) of points p_WQ (..., 3) above the plane [m]."""
+        """Computes the signed heights (...) of points above the plane [m].
+
+        Args:
+            p_WQ: (..., 3) positions of the points in the world frame [m].
+        """
         return np.asarray(p_WQ @ self.normal_W - self.offset)
 
     def distance_to(self, other: TablePlane) -> float:
@@ -91,14 +96,14 @@ class ObstacleClouds(Frozen):
     Attributes:
         stamp: time of the observation [s]; -inf before the first observation.
         clouds_W: for each obstacle an (N_i, 3) array of surface points in the world frame [m].
-        ids: (M,) distinct track IDs of the obstacles.
+        ids: (M,) distinct track IDs: numbers that obstacles keep from one observation to the next.
         table: support plane of the objects; None if no plane was detected.
         note: reason why this observation is degraded, such as "no valid pixel"; otherwise empty.
         v_WO: (M, 3) velocities of the obstacles in the world frame [m/s], exactly zero for an
             obstacle without significant motion; zeros by default.
 
     Raises:
-        ValueError: if a field is not an array of this shape, or IDs repeat.
+        ValueError: if an array has another shape, a cloud is not of floats, or IDs repeat.
     """
 
     stamp: float = -np.inf
@@ -139,10 +144,10 @@ class EllipsoidSet(Frozen):
         R_WO: (M, 3, 3) rotations, whose columns are the principal axes in the world frame.
         semi_axes: (M, 3) semi-axes along the principal axes [m].
         v_WO: (M, 3) velocities of the centers in the world frame [m/s].
-        ids: (M,) unique IDs of the ellipsoids: track ID + part * `PART_ID_STRIDE`, with part 0 for
-            the first ellipsoid of an obstacle.
-        table: support plane from perception, or None.
-        note: reason why the observation is degraded; otherwise empty.
+        ids: (M,) unique IDs of the ellipsoids: track ID of the obstacle + part * `PART_ID_STRIDE`,
+            with part = 0, 1, ... for the ellipsoids that describe one obstacle.
+        table: support plane of the objects; None if perception detected no plane.
+        note: reason why the observation is degraded, such as "no valid pixel"; otherwise empty.
     """
 
     stamp: float = -np.inf
@@ -164,17 +169,19 @@ class HoldReason(StrEnum):
     NONE = "none"
     """Absence of a hold: the motion is not held."""
     DECIDING = "deciding"
-    """Hold at the start of a motion until its first decision has been computed."""
+    """Hold at the start of a motion until the first motion has been selected by simulations."""
     SPEED_SCALE = "speed_scale"
-    """Hold because the input port `speed_scale` of the policy (`DmpIntegrator`) is 0."""
+    """Hold because the input port `speed_scale` of the policy (`DmpIntegrator`), the fraction of
+    full speed, is 0."""
     SUPERVISOR = "supervisor"
-    """Hold because the motion guard has set the speed scale to 0, in logs and reports; the policy
-    itself reports SPEED_SCALE."""
+    """Hold because the safety system `MotionGuard` has set the speed scale of the policy to 0. Only
+    logs and reports use this value; the policy itself reports SPEED_SCALE."""
     GOAL = "goal"
     """Hold because the input port `goal` of the policy is not finite; its last finite value remains
     the goal."""
     OBSTACLES = "obstacles"
-    """Hold because obstacles are not observed, contain the tool or goal, or cannot be passed."""
+    """Hold because of obstacles: they are not observed, the ellipsoid of one contains the tool or
+    the goal, or they cannot be passed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,9 +196,10 @@ class PolicyState(Frozen):
         tau: temporal scaling, by which the demonstrated duration T is multiplied [-].
         p_WS: (3,) start of the motion in the world frame [m].
         p_WG: (3,) goal in the world frame [m].
-        R_WL: (3, 3) orientation of the local frame L of the motion: x from start to goal, z up.
+        R_WL: (3, 3) orientation of the local frame L of the motion in the world: x from start to
+            goal, z up.
         stamp: time of this state [s].
-        speed: ds/dt, the rate of normalized time [1/s]; 1 / (tau T) at full speed, 0 when held.
+        speed: ds/dt, the rate of normalized time s [1/s]; 1 / (tau T) at full speed, 0 when held.
         hold: reason for holding the motion.
         note: explanation of `hold`; empty if the motion is not held.
     """
@@ -218,15 +226,16 @@ class PolicyState(Frozen):
 class PlannedMotion(Frozen):
     """Motion of tool point and arm, planned from the current time to the end of the motion.
 
-    Normalized time is time over the demonstrated duration times the temporal scaling tau.
+    Normalized time is the time since the start of the motion, divided by tau times the demonstrated
+    duration; tau is the temporal scaling.
 
     Attributes:
         s: (T,) normalized times, increasing; (0,): no motion is planned.
         p_WE: (T, 3) positions of the tool point at these times in the world frame [m].
         q: (T, n) joint positions of the arm at these times [rad]; (0, n): no joint positions are
             planned.
-        p_WS: (3,) start of the planned motion in the world frame [m]; (0,): the plan belongs to
-            the current motion.
+        p_WS: (3,) start of the motion to which the plan belongs, in the world frame [m]. The plan
+            is outdated after the motion has restarted elsewhere. (0,): no restart outdates it.
     """
 
     s: FloatArray = zeros(0)
@@ -241,7 +250,8 @@ class PlannedMotion(Frozen):
         """Interpolates the planned joint positions linearly.
 
         Args:
-            s: (...) normalized times.
+            s: (...) normalized times. Before the first and after the last time of the plan, the
+                first or last joint positions are returned.
 
         Returns:
             (..., n) joint positions [rad].
@@ -264,20 +274,23 @@ class Route(Frozen):
         normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle is passed,
             with the direction x_L of the baseline; a positive rotation about this normal turns the
             baseline toward the selected side.
-        remaining_clearance: (M,) clearance at which heading guidance leads the motion past the
-            obstacle on the selected side [m]; 0: no guidance.
-        index: (M,) index of the selected direction.
-        angles: (K,) angles of the directions [rad], 0 along local y, pi/2 along local z.
+        remaining_clearance: (M,) distance from the obstacle at which heading guidance leads the
+            motion past the obstacle on the selected side [m]; 0: no guidance.
+        index: (M,) index of the selected direction among the K directions.
+        angles: (K,) angles of the directions about the x axis of the local frame L [rad], 0 along
+            its y axis, pi/2 along its z axis.
         costs: costs (M, K) in [0, 1] by the name of the ring.
         path_length: estimated length of the path past all obstacles on the selected sides [m].
-        p_WS: (3,) start of the motion for which the sides were selected [m].
-        p_WG: (3,) goal of this motion [m].
-        R_WL: (3, 3) orientation of the local frame of this motion: x from start to goal, z up.
+        p_WS: (3,) start of the motion for which the sides were selected, in the world frame [m].
+        p_WG: (3,) goal of this motion in the world frame [m].
+        R_WL: (3, 3) orientation of the local frame L of this motion in the world: x from start to
+            goal, z up.
         ids: (M,) IDs of the ellipsoids.
-        blocked: whether every side of an obstacle is forbidden.
-        note: reason why every side is forbidden; otherwise empty.
-        side_cost: (N,) costs of N evenly spaced sides by user-supplied cost rings, as additional
-            path length over the distance from start to goal; inf: forbidden.
+        blocked: whether every side of at least one obstacle is forbidden.
+        note: if `blocked`, the reason, which names the obstacles; otherwise empty.
+        side_cost: (N,) costs of passing all obstacles on one of N evenly spaced sides, by
+            user-supplied cost rings, as additional path length over the distance from start to goal
+            [-]; inf: forbidden.
     """
 
     direction_W: FloatArray = zeros(0, 3)
@@ -318,19 +331,22 @@ class CouplingParameters(Frozen):
         alpha: (M,) strength: turning rate in units of 1/T, with the demonstrated duration T.
         psi: (M,) width of the response to the heading [rad].
         kappa: (M,) decay with the squared distance [1/m^2].
-        in_range: (M,) False if the input of the regressor chain was outside its trained range and
-            was clipped to it.
+        in_range: (M,) False if the input of the regressor chain (the networks that compute alpha,
+            psi and kappa) was outside its trained range and was clipped to it.
         center_W: (M, 3) centers of the terms in the world frame [m]; (0, 3): the centers of the
-            ellipsoids.
-        normal_W: (M, 3) normals of the planes in which the obstacles are passed. A nonzero row
-            replaces the row of `Route.normal_W` and switches off heading guidance for this
-            obstacle; (0, 3): no normals. The motion turns away from the center for both signs of a
-            normal. The sign determines the side only for a heading straight toward the center.
-        tau: temporal scaling of the motion, which replaces the scaling by the route's path length;
-            0: not set.
+            perceived ellipsoids.
+        normal_W: (M, 3) normals in the world frame of the planes in which the obstacles are
+            passed. A nonzero row replaces the row of `Route.normal_W` (the normal by the selected
+            side) and switches off heading guidance, the term that turns the motion to the selected
+            side, for this obstacle; (0, 3): no normals. The motion turns away from the center for
+            both signs of a normal. The sign determines the side only for a heading straight toward
+            the center.
+        tau: temporal scaling of the motion (factor on the demonstrated duration), which replaces
+            the scaling by the length of the path past the obstacles, `Route.path_length`; 0: not
+            set.
         hold: reason for holding the motion; NONE: the motion is not held.
         note: explanation of `hold`.
-        restart: whether a motion at rest restarts from its current position.
+        restart: whether a motion at rest restarts, with the current position as its new start.
         verified: whether roll-outs (simulations) have verified the motion. The coupling terms then
             act about `center_W` and do not belong to the perceived ellipsoids. A tool or goal
             inside a perceived ellipsoid then does not hold the motion.
@@ -355,9 +371,13 @@ class CouplingParameters(Frozen):
         return len(self.alpha)
 
     def as_array(self) -> FloatArray:
-        """Returns the parameters as an (M, 3) array with columns alpha, psi, kappa."""
+        """Returns the parameters as an (M, 3) array with columns alpha, psi, kappa.
+
+        Their units are 1/T, with the demonstrated duration T, then rad, then 1/m^2.
+        """
         return np.column_stack((self.alpha, self.psi, self.kappa))
 
 
 DECIDING = "no motion from here is verified yet"
-"""Note in `PolicyState` while a motion is held at its start until the first decision is active."""
+"""Text of the field `note` of `PolicyState` while a motion is held at its start, until the first
+motion that simulations have verified is selected."""

@@ -1,4 +1,4 @@
-"""Processor target of the numba kernels, and a message while kernels are compiled.
+"""Processor target of numba-compiled functions (kernels), and a message while they are compiled.
 
 `drake_oa` imports this module at every start, before numba: it must not import slow modules.
 """
@@ -12,19 +12,19 @@ from contextlib import contextmanager
 from pathlib import Path
 
 _TARGET = "x86-64-v3"
-"""Processor level for which numba compiles kernels, supported by Intel processors since 2013 and by
-AMD since 2015."""
+"""Processor level for which numba compiles, supported by Intel processors since 2013 and by AMD
+since 2015."""
 _TARGET_FLAGS = frozenset(["avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"])
-"""Flags in /proc/cpuinfo of a processor that supports `_TARGET`, the level x86-64-v3 (System V ABI,
+"""Flags in /proc/cpuinfo that a processor must have to support the level x86-64-v3 (System V ABI,
 AMD64 supplement)."""
 
 
 def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
     """Makes numba compile for `x86-64-v3` if the processor supports it, else for the native target.
 
-    Equal instructions on all machines give bit-identical trajectories, and kernels compiled on one
-    machine load on another. Must be called before numba is imported. Does nothing if
-    `NUMBA_CPU_NAME` is set.
+    Equal instructions on all machines give bit-identical trajectories, and functions compiled on
+    one machine load on another. Must be called before numba is imported. Does nothing if the
+    environment variable NUMBA_CPU_NAME is set.
 
     Args:
         cpuinfo: file in which the Linux kernel lists the flags of the processor.
@@ -43,10 +43,10 @@ def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
 
 @contextmanager
 def announced_compilation() -> Iterator[None]:
-    """Prints a line on stderr if numba compiles kernels in the `with` block instead of loading them
-    from files.
+    """Prints a line on stderr if numba compiles functions in the `with` block instead of loading
+    their machine code from files, and the duration at the end of the block.
 
-    Kernels are compiled at the first use in a checkout, and after an update of numba or drake_oa.
+    Numba compiles at the first use in a checkout, and after an update of numba or drake_oa.
     """
     # Imported here because it is slow, see the module docstring.
     from numba.core import event

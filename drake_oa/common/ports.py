@@ -14,9 +14,10 @@ from pydrake.systems.framework import AbstractStateIndex, Context, DependencyTic
 T = TypeVar("T")
 
 DECISION_OFFSET = 1e-3
-"""Delay between the start of a period and a layer's periodic decision [s].
+"""Delay between the start of a period and a layer's periodic decision, such as a motion search [s].
 
-After this delay, the inputs of the decision contain the observations of the same period."""
+After this delay, the inputs of the decision contain an observation that perception outputs at the
+start of the period."""
 
 
 class AbstractInput(Generic[T]):
@@ -65,7 +66,7 @@ class AbstractInput(Generic[T]):
 
 
 def valid_period(period: float) -> float:
-    """Checks that the update period of a system is positive and finite, and returns it [s].
+    """Checks that the update period of a system [s] is positive and finite, and returns it.
 
     Raises:
         ValueError: if the period is not positive and finite.
@@ -78,7 +79,7 @@ def positive(value: float, name: str) -> float:
 
     Args:
         value: value of the argument.
-        name: name and unit of the argument.
+        name: name and unit of the argument, such as "period [s]", for the error.
 
     Raises:
         ValueError: if the value is not positive and finite.
@@ -96,8 +97,9 @@ def declare_state_outputs(
     Args:
         system: system under construction.
         state: index of the abstract state.
-        ports: for each port a tuple of the port's name; the size of the vector, or the class of the
-            abstract value; and the dotted path of the attribute in the state.
+        ports: for each port a tuple of three items: the name of the port; the size of its vector,
+            or the class of its abstract value; and the attribute of the state's value that it
+            publishes, such as "pending.active".
     """
     tickets = {system.abstract_state_ticket(state)}
     for name, kind, path in ports:

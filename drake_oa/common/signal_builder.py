@@ -14,7 +14,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, Output
 from pydrake.systems.primitives import LogVectorOutput
 
 LOG_PERIOD = 0.004
-"""Sampling period of the signals that a diagram logs [s]."""
+"""Sampling period of the vector signals that a diagram logs [s]."""
 
 _Added = TypeVar("_Added", bound=System)
 _Port = TypeVar("_Port", InputPort, OutputPort)
@@ -23,18 +23,20 @@ Names = Mapping[str, str | None]
 """Type of a mapping from port names to signal names, for ports whose signal has another name than
 the port.
 
-A port mapped to None is not connected."""
+A signal is a named value, with one output port as its source and any number of input ports that
+read it. A port mapped to None is not connected."""
 
 
 @dataclass
 class _SignalSystem:
-    """Drake system with the names of the signals that its ports read and output.
+    """Drake system with the names of the signals (named values) that its ports read and output.
 
     Attributes:
         system: the Drake system.
         inputs: signal name by input port, for signals with another name than the port; a port
             mapped to None is not connected.
-        outputs: signal name by output port, with the same meaning as `inputs`.
+        outputs: signal name by output port, for signals with another name than the port; a port
+            mapped to None is not connected.
         interposed: signals that the system reads from their source and replaces for all other
             readers; empty: no signal.
     """
@@ -46,13 +48,22 @@ class _SignalSystem:
 
     @cached_property
     def input_ports(self) -> list[tuple[str, InputPort]]:
-        """Input ports of the system, each with the name of the signal that it reads."""
+        """Input ports of the system, each with the name of the signal that it reads.
+
+        Ports that `inputs` maps to None are left out.
+        """
         count = self.system.num_input_ports()
         return self._named(list(map(self.system.get_input_port, range(count))), self.inputs)
 
     @cached_property
     def output_ports(self) -> dict[str, OutputPort]:
-        """Output ports of the system by the name of the signal that they output."""
+        """Output ports of the system by the name of the signal that they output.
+
+        Ports that `outputs` maps to None are left out.
+
+        Raises:
+            ValueError: if several ports output the same signal.
+        """
         count = self.system.num_output_ports()
         named = self._named(list(map(self.system.get_output_port, range(count))), self.outputs)
         if len(ports := dict(named)) < len(named):
@@ -126,7 +137,11 @@ class SignalBuilder:
         self._exported: list[str] = []
 
     def add_source(self, signal: str, port: OutputPort) -> None:
-        """Makes an output port of a system already in the diagram builder the source of a signal.
+        """Makes an output port the source of a signal.
+
+        Args:
+            signal: name of the signal.
+            port: output port of a system that is already in the diagram builder.
 
         Raises:
             ValueError: if the signal already has a source.
@@ -135,8 +150,11 @@ class SignalBuilder:
         self._sources[signal] = port
 
     def add_sink(self, signal: str, port: InputPort) -> None:
-        """Connects an input port of a system already in the diagram builder to a signal that it
-        reads.
+        """Makes an input port a reader of a signal, to which `connect` connects the port.
+
+        Args:
+            signal: name of the signal; without a source of this signal, the port is not connected.
+            port: input port of a system that is already in the diagram builder.
         """
         self._sinks.append((signal, port))
 
@@ -159,7 +177,8 @@ class SignalBuilder:
             system: system to add.
             inputs: signal name by input port, for signals with another name than the port; a port
                 mapped to None is not connected.
-            outputs: signal name by output port, with the same meaning as `inputs`.
+            outputs: signal name by output port, for signals with another name than the port; a port
+                mapped to None is not connected.
 
         Returns:
             The argument `system`.
@@ -181,12 +200,15 @@ class SignalBuilder:
     ) -> _Added:
         """Replaces a system that was added before by another one.
 
+        The new system is interposed on the same signals as the replaced one.
+
         Args:
             name: name of the subsystem to replace.
             system: new system.
-            inputs: signal name by input port, for signals with another name than the port; None:
-                the names that the replaced system has, for ports that both systems have.
-            outputs: signal name by output port, with the same meaning as `inputs`.
+            inputs: signal name by input port, for signals with another name than the port; a port
+                mapped to None is not connected. If the argument is None, ports that both systems
+                have keep the signals of the replaced system.
+            outputs: signal name by output port, with the same rules as for `inputs`.
 
         Returns:
             The argument `system`.
@@ -233,7 +255,8 @@ class SignalBuilder:
             system: system to insert.
             inputs: signal name by input port, for signals with another name than the port; a port
                 mapped to None is not connected.
-            outputs: signal name by output port, with the same meaning as `inputs`.
+            outputs: signal name by output port, for signals with another name than the port; a port
+                mapped to None is not connected.
 
         Returns:
             The argument `system`.
@@ -254,9 +277,9 @@ class SignalBuilder:
         return system
 
     def log(self, *signals: str) -> None:
-        """Logs vector signals every `LOG_PERIOD` in sinks named log_<signal>.
+        """Logs vector signals every `LOG_PERIOD` (4 ms) in sinks named log_<signal>.
 
-        Signals without a source are skipped.
+        A sink is a VectorLogSink of Drake. Signals without a source are skipped.
         """
         self._logged += [name for name in signals if name not in self._logged]
 
@@ -304,7 +327,7 @@ class SignalBuilder:
 
         Raises:
             ValueError: if the name is in use, a signal that the system outputs already has a
-                source, or the system lacks a port for which a signal is given.
+                source, or the system lacks a port that `entry.inputs` or `entry.outputs` name.
         """
         if name in self._systems or self.builder.HasSubsystemNamed(name):
             raise ValueError(
@@ -339,8 +362,9 @@ class SignalBuilder:
     def _source(self, signal: str, before: str | None = None) -> OutputPort | None:
         """Returns the output port to which readers of a signal are connected.
 
-        The result is the output port of the last system interposed on the signal; otherwise the
-        source of the signal; otherwise the source of the fallback signal.
+        The result is the output port of the last system interposed on the signal (between its
+        source and its readers); otherwise the source of the signal; otherwise the source of the
+        fallback signal, which readers use if the signal has no source.
 
         Args:
             signal: name of the signal.
