@@ -30,9 +30,12 @@ from drake_oa.world.depth_messages import metric_depth
 from drake_oa.world.live_camera import fixed_pose
 
 _ENCODINGS = {"16UC1": "u2", "32FC1": "f4"}
-"""NumPy types of the depths by encoding of an image: 16 bit [mm], 32 bit [m]."""
+"""NumPy types of the depths by encoding of a sensor_msgs/Image: 16UC1 [mm], 32FC1 [m]."""
 _ROUNDING = 1e-9
-"""Maximum difference of equal times [s], and of equal poses, of which one has been rounded."""
+"""Tolerance for the rounding of times and poses in a bag.
+
+Two times count as equal up to this difference [s], and two poses if each element of their rotation
+matrices [-] and positions [m] differs by at most this."""
 
 
 class ImageRecorder(LeafSystem):
@@ -51,12 +54,12 @@ class ImageRecorder(LeafSystem):
       missing. Written as 32FC1 on /<camera>/depth/image_rect_raw, where -inf is too near.
     - camera_pose: RigidTransform X_WC of the camera. Written on /tf when it has changed.
     - image_stamp: (1,) time of the image [s], the stamp of the messages.
-    - plant_state_at_image: (n,) state [q, v] of the plant at that time. The state of the robot is
-      written on /joint_states.
+    - plant_state_at_image: (n,) state [q, v] of the plant at that time. The positions and
+      velocities of the robot's joints are written on /joint_states.
 
     The intrinsics are written on /<camera>/depth/camera_info. The messages are written at
-    initialization, and at each update of `DepthPerception`; before the first image nothing is
-    written.
+    initialization, and at the times at which the system `DepthPerception` reads the image: once per
+    period of the camera, when the image has arrived. Before the first image nothing is written.
     """
 
     def __init__(self, bag: BagWriter, config: CameraConfig, plant: MultibodyPlant) -> None:
@@ -64,8 +67,8 @@ class ImageRecorder(LeafSystem):
 
         Args:
             bag: bag to which the messages are written.
-            config: configuration of the camera. Its name is that of the frame, and the begin of
-                the topics.
+            config: configuration of the camera. The camera's name is also the name of its frame and
+                the first part of its topics.
             plant: finalized plant with the robot.
         """
         super().__init__()
@@ -89,7 +92,7 @@ class ImageRecorder(LeafSystem):
         self.DeclarePeriodicPublishEvent(period, offset, self._write)
 
     def _write(self, context: Context) -> None:
-        """Writes the present image with its pose, intrinsics and joint states."""
+        """Writes the present image with its camera pose, intrinsics and joint states to the bag."""
         (stamp,) = self._stamp.Eval(context)
         if not np.isfinite(stamp):
             return
@@ -113,7 +116,7 @@ class ImageRecorder(LeafSystem):
 
 
 def robot_rows(plant: MultibodyPlant) -> tuple[list[str], IntArray]:
-    """Returns the names of the robot's n joints, and their rows in the state of its plant.
+    """Returns the names of the robot's n joints, and their rows in the state [q, v] of the plant.
 
     The joints have one degree of freedom.
 
@@ -121,7 +124,8 @@ def robot_rows(plant: MultibodyPlant) -> tuple[list[str], IntArray]:
         plant: finalized plant with the tool frame of the robot.
 
     Returns:
-        n names, and (2 n,) rows of the positions and then of the velocities.
+        List of n joint names, and (2 n,) indices in the state of the plant, of the positions of the
+        joints and then of their velocities.
     """
     robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
     q, v = np.split(np.arange(plant.num_multibody_states()), [plant.num_positions()])
@@ -133,11 +137,14 @@ class BagFrame(NamedTuple):
     """Depth image of a bag, with the state of the robot and the pose of the camera.
 
     Attributes:
-        time: stamp of the image since that of the first image [s].
-        depth: (H, W) depths [m]; 0 is too near, inf is too far, NaN is missing.
-        intrinsics: intrinsics of the image, with the center of the first pixel at `PIXEL_CENTER`.
-        X_WC: pose of the camera in the world.
-        state: (2 n,) positions and velocities of n joints at the stamp; NaN: unknown.
+        time: stamp of the image minus the stamp of the first image of the bag [s].
+        depth: (H, W) depths along the optical axis [m]; 0 is too near, inf is too far, NaN is
+            missing.
+        intrinsics: intrinsics of the image [pixel], for image coordinates in which the center of
+            the first pixel is at 0.5 (`PIXEL_CENTER`).
+        X_WC: pose of the camera (x right, y down, z forward) in the world.
+        state: (2 n,) positions and velocities of n robot joints at the stamp of the image [rad, m,
+            rad/s, m/s]; NaN: unknown.
     """
 
     time: float
@@ -152,14 +159,15 @@ def read_frames(
 ) -> Generator[BagFrame, None, None]:
     """Reads the depth images of a bag in the order of time, one at a time.
 
-    Transforms and the state of the joints are the latest ones before the image in the bag. The
-    positions of the joints are extrapolated to the stamp of the image with their velocities.
+    The pose of the camera and the state of the joints are from the latest messages that precede the
+    image in the bag; the first joint message also serves images before it. The positions of the
+    joints are extrapolated to the stamp of the image with their velocities.
 
     Args:
-        source: bag and topics.
-        joints: names of n joints.
-        period: period of a simulated camera [s]. A stamp within a nanosecond of one of its images
-            is the exact time of this image.
+        source: perception block with the path of the bag, its topics and the pose of the camera.
+        joints: names of n robot joints.
+        period: time between two images of the camera, if it was simulated [s]. A time within a
+            nanosecond of a multiple of the period is replaced by the exact multiple.
 
     Raises:
         ScenarioError: for a bag that cannot be read, a topic that is missing or has another type,
@@ -182,7 +190,15 @@ def read_frames(
 
 
 def _check_topics(reader: Any, source: RecordedBag) -> None:
-    """Checks that an open bag has messages of the required types; names all wrong topics."""
+    """Checks that an open bag has messages of the required types.
+
+    Args:
+        reader: reader of rosbags for the open bag.
+        source: perception block with the topics.
+
+    Raises:
+        ScenarioError: naming all topics without messages or with messages of another type.
+    """
     kinds = {one.topic: one.msgtype for one in reader.connections if one.msgcount}
     required = {"depth_topic": "Image", "info_topic": "CameraInfo", "joint_topic": "JointState"}
     problems = [
@@ -198,7 +214,18 @@ def _check_topics(reader: Any, source: RecordedBag) -> None:
 def _frames(
     reader: Any, source: RecordedBag, joints: Sequence[str], period: float
 ) -> Iterator[BagFrame]:
-    """Yields the frames of an open bag, see `read_frames`."""
+    """Yields each depth image of an open bag, with pose and joint state, in the order of time.
+
+    Args:
+        reader: reader of rosbags for the open bag.
+        source: perception block with the topics of the bag and the pose of the camera.
+        joints: names of n robot joints.
+        period: time between two images of the camera, if it was simulated [s].
+
+    Raises:
+        ScenarioError: for an image that contradicts the camera info, a stamp that goes backward, or
+            an image without a pose.
+    """
 
     def messages(*topics: str | None) -> Iterator[tuple[str, Any]]:
         """Yields topic and message of all messages on some topics, in the order of the bag."""
@@ -242,7 +269,15 @@ def _frames(
 
 
 def _exact_time(time: float, period: float) -> float:
-    """Returns the time of a periodic event if it differs from a time [s] by rounding only."""
+    """Replaces a time that is a multiple of a period up to rounding by the exact multiple.
+
+    Args:
+        time: time [s].
+        period: period of a simulated camera [s].
+
+    Returns:
+        Time of the periodic event of Drake that is within 1 ns of `time`; if there is none, `time`.
+    """
     count = round(time / period)
     # The k-th event of a periodic system is at this sum, which is rounded otherwise than k T.
     exact = period + (count - 1) * period if count else 0.0
@@ -253,9 +288,10 @@ def _depth(message: Any, source: RecordedBag, intrinsics: CameraInfo) -> NDArray
     """Returns the depths (H, W) of an image message [m]; 0: too near, inf: too far, NaN: missing.
 
     Args:
-        message: image of encoding 16UC1 or 32FC1; -inf is too near, 0 is missing.
-        source: bag and topics, for an error.
-        intrinsics: intrinsics of the image.
+        message: sensor_msgs/Image of encoding 16UC1 [mm] or 32FC1 [m]. In the message 0 or NaN is
+            missing, -inf is too near, and 65535 mm or inf is too far.
+        source: perception block with the topics, for the error.
+        intrinsics: intrinsics of the image, with its required size.
 
     Raises:
         ScenarioError: for another encoding or size.
@@ -279,14 +315,15 @@ def _depth(message: Any, source: RecordedBag, intrinsics: CameraInfo) -> NDArray
 
 
 def _pose(transforms: Mapping[str, Any], frame: str) -> RigidTransform:
-    """Returns the pose of a frame in the world.
+    """Returns the pose of a frame in the world frame of the bag, "world".
 
     Args:
-        transforms: geometry_msgs/TransformStamped of each frame in its parent, by name.
+        transforms: geometry_msgs/TransformStamped of each frame relative to its parent frame, by
+            the name of the (child) frame.
         frame: name of the frame.
 
     Raises:
-        ScenarioError: if the transforms do not connect it to the world.
+        ScenarioError: if the transforms do not connect the frame to the world.
     """
     X, child, remaining = RigidTransform(), frame, dict(transforms)
     while child in remaining:
@@ -321,31 +358,33 @@ class BagCamera(TimedCamera):
     - plant_state (in): (n,) present state [q, v] of the simulated plant.
     - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf is too far, NaN is
       missing.
-    - camera_pose: RigidTransform X_WC of the camera at the image: `camera_pose` of the block, else
-      that of the bag.
-    - image_time: (1,) stamp of the image since the first one [s].
-    - plant_state (out): (n,) present state, in which joints of the robot that the bag has are in
-      their recorded state at the stamp.
+    - camera_pose: RigidTransform X_WC of the camera at the stamp of the image: the field
+      `camera_pose` of the perception block, or the pose in the bag if this field is null.
+    - image_time: (1,) stamp of the image minus the stamp of the first image [s].
+    - plant_state (out): (n,) present state [q, v] of the simulated plant, except that robot joints
+      with a state in the bag have the recorded state at the stamp of the image.
 
-    The outputs depend only on time. The first image is output at time 0, the others with the delay
-    of the camera's configuration after their stamps; after the last one the outputs are constant.
+    Which image is output depends only on time. The first image is output at time 0, the others
+    after their stamps with the delay that the scenario sets for the camera. After the last one the
+    same image is output.
 
-    Times in a bag are whole nanoseconds, and rotations are quaternions. A stamp at a multiple of
-    the camera's period, and the pose of the scenario's camera, are recognized and restored without
-    rounding: the images of a simulated camera give equal observations to the last bit.
+    In a bag, times are rounded to nanoseconds, and rotations to quaternions. Therefore a stamp that
+    is nearly a multiple of the camera's period is replaced by the exact multiple, and a pose that
+    is nearly the one that the scenario sets for the camera is replaced by the latter. The recorded
+    images of a simulated camera thus give bit-identical observations.
     """
 
     def __init__(self, source: RecordedBag, config: CameraConfig, plant: MultibodyPlant) -> None:
         """Reads the first image, and declares the ports.
 
         Args:
-            source: bag and topics.
+            source: perception block with path and topics of the bag and the pose of the camera.
             config: camera of the scenario with its frame rate, delay and pose.
             plant: finalized plant with the robot.
 
         Raises:
-            ScenarioError: as `read_frames`, if the bag has no joint of the robot, or if the camera
-                of the scenario can move.
+            ScenarioError: if the bag cannot be read, lacks a topic or a pose of the camera, has no
+                joint of the robot, or if the camera of the scenario can move.
         """
         joints, self._rows = robot_rows(plant)
         period = 1.0 / config.fps
@@ -373,7 +412,10 @@ class BagCamera(TimedCamera):
         self._frame = self._frame._replace(time=np.inf)
 
     def _read(self, context: Context) -> BagFrame:
-        """Returns the frame that the camera outputs at the time of a Context."""
+        """Returns the image that the camera outputs at the time of a Context, and its metadata.
+
+        The bag is read up to this image, from the begin if a later image has been read before.
+        """
         latest = context.get_time() - self._delay + _ROUNDING
         if self._frame.time > max(latest, 0.0):
             self._restart()
@@ -382,16 +424,20 @@ class BagCamera(TimedCamera):
         return self._frame
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """Returns the depths (H, W) of the present image [m]."""
+        """Returns the depths (H, W) of the present image along the optical axis [m]."""
         return self._read(context).depth
 
     def pose(self, context: Context) -> RigidTransform:
-        """Returns the pose X_WC of the camera at the present image."""
+        """Returns the pose X_WC of the camera at the stamp of the present image."""
         X_WC = self._read(context).X_WC
         return self._exact if X_WC.IsNearlyEqualTo(self._exact, _ROUNDING) else X_WC
 
     def capture_state(self, context: Context) -> tuple[float, FloatArray]:
-        """Returns the stamp of the present image [s], and the plant state (n,) at the stamp."""
+        """Returns the stamp of the present image since the first one [s], and the plant state (n,).
+
+        In this state, robot joints in the bag have their recorded state at the stamp; the rest is
+        the present state of the simulated plant.
+        """
         frame, state = self._read(context), np.array(self._state_port.Eval(context))
         is_known = np.isfinite(frame.state)
         state[self._rows[is_known]] = frame.state[is_known]

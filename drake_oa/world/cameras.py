@@ -46,8 +46,10 @@ class Camera:
 
     Attributes:
         intrinsics: intrinsics of the depth image.
-        depth_image: output port with the depth image, an ImageDepth32F with noise [m].
-        pose: output port with the camera pose X_WC, a RigidTransform.
+        depth_image: output port with the depth image along the optical axis, an ImageDepth32F [m],
+            with noise if it is simulated and the scenario sets noise.
+        pose: output port with the pose X_WC of the camera (x right, y down, z forward) in the
+            world, a RigidTransform.
         delay: time from the capture to the output of an image [s]; 0: no delay.
         image_time: output port (1,) with the capture time of the image [s].
         plant_state: output port (n,) with the state [q, v] of the plant at the capture time.
@@ -77,8 +79,10 @@ class TimedCamera(LeafSystem):
       - plant_state
 
     - plant_state (input): (num_states,) present state [q, v] of the plant.
-    - depth_image: ImageDepth32F with the depths (H, W) along the optical axis [m].
-    - camera_pose: RigidTransform X_WC of the camera at the capture time of the image.
+    - depth_image: ImageDepth32F with the depths (H, W) along the optical axis [m]; 0 is too near,
+      inf is too far, NaN is missing.
+    - camera_pose: RigidTransform X_WC of the camera (x right, y down, z forward) in the world at
+      the capture time of the image.
     - image_time: (1,) capture time of the image [s].
     - plant_state (output): (num_states,) state [q, v] of the plant at the capture time of the
       image.
@@ -89,7 +93,7 @@ class TimedCamera(LeafSystem):
 
         Args:
             intrinsics: intrinsics of the depth images.
-            num_states: size n of the plant's state.
+            num_states: size n of the plant's state [q, v].
             initial_state: value of the abstract state before the first event, of a type that the
                 derived class defines.
         """
@@ -133,13 +137,13 @@ class TimedCamera(LeafSystem):
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
         """Returns the depth image (H, W) that the camera outputs at the time of a Context [m]; one
-        number stands for all pixels, such as NaN without an image.
+        number is the value of all pixels, such as NaN before the first image.
         """
         raise NotImplementedError
 
     def pose(self, context: Context) -> RigidTransform:
-        """Returns the pose X_WC of the camera for the image that it outputs at the time of a
-        Context.
+        """Returns the pose X_WC of the camera at the capture time of the image that it outputs at
+        the time of a Context.
         """
         raise NotImplementedError
 
@@ -169,21 +173,24 @@ class TimedCamera(LeafSystem):
 
 
 def depth_intrinsics(config: CameraConfig) -> CameraInfo:
-    """Returns the intrinsics of the depth image that a camera configuration of Drake describes."""
+    """Returns the intrinsics of the depth image that Drake's camera configuration describes."""
     return config.MakeCameras()[1].core().intrinsics()
 
 
 def add_camera(builder: DiagramBuilder, scenario: Scenario, config: CameraConfig) -> RgbdSensor:
-    """Adds a camera to a builder, with a separate scene graph in which the camera renders. An input
-    port sets the poses of this scene graph.
+    """Adds a camera to a builder, with a separate scene graph in which the camera renders.
 
-    The function exports the input port "state": state [q, v] of the scenario's plant at which the
-    camera renders.
+    The function exports the input port "state" of the builder's diagram: the state [q, v] of the
+    scenario's plant that sets the poses of the rendered geometry. The camera has no delay and no
+    color image, whatever its configuration.
 
     Args:
         builder: builder without another camera.
         scenario: scenario whose models are rendered.
         config: configuration of the camera.
+
+    Returns:
+        System that renders the depth image.
 
     Raises:
         ScenarioError: if Drake rejects the camera, for example because of an unknown base frame.
@@ -223,7 +230,7 @@ def add_mesh_normals(scene_graph: SceneGraph, source: SourceId) -> None:
     has the single color that the robot's or object's model file states.
 
     Args:
-        scene_graph: scene graph with all geometry, without a renderer.
+        scene_graph: scene graph with all geometry, to which no renderer has been added yet.
         source: source ID under which the geometry is registered.
 
     Raises:

@@ -39,8 +39,8 @@ _T = TypeVar("_T")
 """Type of a result that is computed in the render thread."""
 
 Noise = Callable[[NDArray[np.float32], float], NDArray[np.float32]]
-"""Type of a function that returns the measured depth image for a true depth image [m] and its
-capture time [s]."""
+"""Type of a function that returns the measured depth image (H, W) for a true depth image (H, W) [m]
+and its capture time [s]."""
 _CACHE_SIZE = 4
 """Number of recently rendered images that each simulated camera stores in its cache."""
 
@@ -66,6 +66,13 @@ class _CameraWorld:
     def __init__(self, scenario: Scenario, config: CameraConfig) -> None:
         """Builds the diagram, which contains the models of the scenario and one camera, and a
         Simulator that evaluates its image.
+
+        Args:
+            scenario: scenario whose models are rendered.
+            config: configuration of the camera.
+
+        Raises:
+            ScenarioError: if Drake rejects the camera.
         """
         builder = DiagramBuilder()
         self._sensor = add_camera(builder, scenario, config)
@@ -79,7 +86,7 @@ class _CameraWorld:
         self._number = 0
 
     def render(self, state: FloatArray) -> Rendered:
-        """Renders the depth image of the camera at a plant state [q, v]."""
+        """Renders the depth image of the camera at a state (n,) [q, v] of the scenario's plant."""
         context = self._simulator.get_mutable_context()
         self._diagram.get_input_port().FixValue(context, state)
         if self._number == 0:
@@ -110,7 +117,8 @@ class BackgroundCamera:
         Args:
             scenario: scenario with a robot.
             config: configuration of the camera.
-            noise: function that adds noise to the images; None: ideal images.
+            noise: function that returns the measured image for a true image [m] and its capture
+                time [s]; None: ideal images.
 
         Raises:
             ScenarioError: if Drake rejects the camera.
@@ -170,13 +178,14 @@ class BackgroundCamera:
 
 
 _numbers = itertools.count()
-"""Counter of the background cameras in this process. A number of the counter is the name of each
-camera's rendered world."""
+"""Counter of the background cameras in this process. Its numbers are the names of the cameras'
+rendered worlds, the diagrams in which the cameras render."""
 _render_thread = ThreadPoolExecutor(1, "render")
-"""Executor with one thread, which creates, uses and destroys the rendered worlds of all cameras."""
+"""Executor with one thread, which creates, uses and destroys the render engines of all cameras."""
 _worlds = threading.local()
-"""Rendered worlds (`_CameraWorld`) by camera name. The storage is local to the render thread, so
-that worlds are destroyed in this thread."""
+"""Rendered worlds (diagrams `_CameraWorld`, each with the models of a scenario and one camera), by
+the number of the camera. The storage is local to the render thread, so that worlds are destroyed
+in this thread."""
 
 
 def _submit(call: Callable[[], _T]) -> Future[_T]:
@@ -199,8 +208,11 @@ def _submit(call: Callable[[], _T]) -> Future[_T]:
 
 
 def _end_world(name: str) -> None:
-    """Destroys the rendered world of a camera, with its render engine, in the render thread; no
-    effect if this world does not exist.
+    """Destroys the diagram in which a camera renders, with its render engine, in the render thread;
+    no effect if this diagram does not exist.
+
+    Args:
+        name: number of the camera, as text.
     """
     # At the end of the interpreter the thread no longer exists.
     with suppress(RuntimeError):
@@ -213,7 +225,7 @@ class _Captures(Frozen):
 
     Attributes:
         stamp: capture times [s], two at most.
-        state: plant states (n,) at the capture times.
+        state: plant states (n,) [q, v] at the capture times.
     """
 
     stamp: tuple[float, ...] = ()

@@ -81,8 +81,8 @@ class Frame(NamedTuple):
 def unpack_depth(message: lcmt_image_array) -> Frame:
     """Unpacks the depth image of an LCM message.
 
-    The image may be uncompressed or compressed by zlib. Depths are 16-bit integers [mm] or 32-bit
-    floats [m].
+    The image may be uncompressed or compressed by zlib. Depths in the message are 16-bit integers
+    [mm] or 32-bit floats [m]; 0 is too near or missing, 65535 mm is too far.
 
     Raises:
         ValueError: if the message does not hold exactly one valid depth image.
@@ -108,7 +108,13 @@ def unpack_depth(message: lcmt_image_array) -> Frame:
 def metric_depth(values: NDArray[Any]) -> NDArray[np.float32]:
     """Converts the depths of a message, 16-bit integers [mm] or 32-bit floats [m], to meters.
 
-    0 becomes NaN (missing), the largest 16-bit depth inf (too far).
+    The depth 0 becomes NaN (missing). The largest 16-bit depth, 65535 mm, becomes inf (too far).
+
+    Args:
+        values: (H, W) depths of the message.
+
+    Returns:
+        (H, W) depths [m].
     """
     depth = values.astype(np.float32)
     if values.dtype.kind == "u":
@@ -135,10 +141,10 @@ def lcm_bus(url: str) -> DrakeLcm:
 
 
 class LcmFrames:
-    """Receiver of the depth images that a camera sends on an LCM channel.
+    """Receiver of the depth images that a camera outside the simulation sends on an LCM channel.
 
     Attributes:
-        name: name of the channel and URL of its LCM bus, for messages to the user.
+        name: text with the name of the channel and the URL of its LCM bus, for error messages.
     """
 
     def __init__(self, url: str, camera: str) -> None:

@@ -26,16 +26,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 _AXIAL_OFFSET = 0.0012
-"""Standard deviation of the measured depth at a true depth of `_AXIAL_DEPTH` and a view along the
-surface normal (Nguyen et al.) [m]."""
+"""Standard deviation of the measured depth at a true depth of 0.4 m and a view along the surface
+normal (Nguyen et al.) [m]."""
 _AXIAL_GROWTH = 0.0019
-"""Coefficient of the term (z - `_AXIAL_DEPTH`)^2 in the standard deviation [m] of the measured
-depth, at the true depth z [m] (Nguyen et al.) [1/m]."""
+"""Coefficient of the term (z - 0.4 m)^2 in the standard deviation [m] of the measured depth, at the
+true depth z [m] (Nguyen et al.) [1/m]."""
 _AXIAL_DEPTH = 0.4
 """Depth at which the standard deviation of the measured depth is smallest (Nguyen et al.) [m]."""
 _AXIAL_ANGLE = 0.0001
-"""Coefficient of the term 1 / sqrt(z) (theta / (pi/2 - theta))^2 in the standard deviation of the
-measured depth (Nguyen et al.) [m^1.5]. The true depth is z, and theta is the angle of incidence."""
+"""Coefficient of the term 1 / sqrt(z) (theta / (pi/2 - theta))^2 in the standard deviation [m] of
+the measured depth (Nguyen et al.) [m^1.5]. The true depth is z [m], and theta [rad] is the angle of
+incidence, from the surface normal."""
 _LATERAL = 0.8
 """Standard deviation of the position of a depth edge in the image, for a view along the surface
 normal (Nguyen et al.) [pixel]. The growth of this deviation with the angle of incidence, below 0.1
@@ -46,8 +47,9 @@ _BASELINE = 0.075
 Oude Elberink) [m]."""
 _SUBPIXELS = 8.0
 """Number of disparity steps per pixel, in which the camera quantizes depth (Khoshelham and Oude
-Elberink) [1/pixel]. With the focal length f [pixel] and `_BASELINE` b, one step changes the depth z
-by z^2 / (8 f b): 2.9 mm at 1 m for f = 577 pixels."""
+Elberink) [1/pixel]. Disparity is the image shift that the camera measures. With the focal length f
+[pixel] and the distance b = 0.075 m between camera and projector, one step changes the depth z by
+z^2 / (8 f b): 2.9 mm at 1 m for f = 577 pixels."""
 _UNIT = 0.001
 """Resolution of the depth values that the driver of the simulated camera outputs (OpenNI) [m]."""
 _NEAR = 0.5
@@ -94,11 +96,10 @@ def add_depth_noise(
     """Computes the depth image that a structured-light camera would measure, including missing
     pixels, for a true depth image.
 
-    The standard deviation of the depth z at the angle of incidence theta (Nguyen et al. measured up
-    to 80 deg) is
+    The standard deviation [m] of the depth z [m] at the angle of incidence theta [rad], measured
+    from the surface normal (Nguyen et al. 2012, up to 80 deg), is
 
-        _AXIAL_OFFSET + _AXIAL_GROWTH (z - _AXIAL_DEPTH)^2
-        + _AXIAL_ANGLE / sqrt(z) (theta / (pi/2 - theta))^2
+        0.0012 + 0.0019 (z - 0.4)^2 + 0.0001 / sqrt(z) (theta / (pi/2 - theta))^2
 
     The noise depends only on the arguments: the same seed, time and image give the same noise, and
     different times give independent noise.
@@ -173,12 +174,12 @@ def _differences(w: _Image, axis: int) -> tuple[_Image, _Image]:
     The smaller difference is the slope of the surface, because it is not across a depth edge.
 
     Args:
-        w: (H, W) image.
+        w: (H, W) image of inverse depths [1/m].
         axis: image axis along which neighbors are compared: 0 along columns, 1 along rows.
 
     Returns:
-        (H, W) slope: the smaller difference, positive if w grows along the axis; (H, W) jump: value
-        of the neighbor that differs more, minus value of the pixel.
+        (H, W) slope [1/m per pixel]: the smaller difference, positive if w grows along the axis;
+        (H, W) jump [1/m]: value of the neighbor that differs more, minus value of the pixel.
     """
     change = np.diff(w, axis=axis)
     before, after = (
@@ -194,7 +195,8 @@ def _patches(draw: Any, shape: tuple[int, ...], size: int) -> _Image:
     """Draws an image (H, W) of random numbers, with one number per square patch of pixels.
 
     Args:
-        draw: function that draws random numbers of a given shape and type.
+        draw: method of a NumPy generator that draws random numbers of a given shape and type, such
+            as `Generator.random`.
         shape: shape (H, W) of the image.
         size: side length of the patches [pixel].
     """

@@ -44,10 +44,10 @@ class ExternalPush(LeafSystem):
       output_ports:
       - spatial_forces
 
-    - spatial_forces: abstract list of one `ExternallyAppliedSpatialForce` per push, in the world
-      frame [N, N m]. The wrench acts at the origin of the link's frame, and is zero before and
-      after the push. The port is connected to the input port `applied_spatial_force` of a
-      `MultibodyPlant`.
+    - spatial_forces: abstract list of one `ExternallyAppliedSpatialForce` per push, with torque
+      [N m] and force [N] in the world frame. The wrench acts at the origin of the link's frame, and
+      is zero before and after the push. The port is connected to the input port
+      `applied_spatial_force` of a `MultibodyPlant`.
     """
 
     def __init__(self, pushes: Sequence[tuple[Push, BodyIndex]]) -> None:

@@ -45,7 +45,7 @@ class ExternalInputs:
     and convert the clocks.
 
     Attributes:
-        plant_state: output port of the measured plant state [q, v]; None: the state of the
+        plant_state: output port (n,) of the measured plant state [q, v]; None: the state of the
             simulated plant is used.
         to_simulated: function that converts a recent time of the wall clock to simulated time [s];
             None: the camera estimates the offset between both clocks.
@@ -118,8 +118,8 @@ class LiveCamera(TimedCamera):
     - camera_pose: RigidTransform X_WC of the camera, constant.
     - image_time: (1,) capture time of the image by the clock of the Context [s]; -inf before the
       first image. This time never decreases, and is never later than the reception of the image.
-    - plant_state (out): (n,) state of the plant at the capture time, interpolated between recent
-      states.
+    - plant_state (out): (n,) state [q, v] of the plant at the capture time, interpolated between
+      recent states.
 
     At initialization, or at an earlier evaluation of a port, the camera subscribes to the images
     and waits for the first one. Every 5 ms it stores the newest image in the Context. An invalid
@@ -148,8 +148,8 @@ class LiveCamera(TimedCamera):
         Args:
             source: receiver of the depth images.
             intrinsics: intrinsics of the camera; images of another size are rejected.
-            X_WC: constant pose of the camera.
-            num_states: size n of the plant's state.
+            X_WC: constant pose of the camera (x right, y down, z forward) in the world.
+            num_states: size n of the plant's state [q, v].
             wait: maximum time to wait for the first image [s]; 0: no waiting.
             max_age: maximum age of a valid image at its reception, by the wall clock [s].
             external: functions that read and convert the clocks; None: the defaults of
@@ -228,9 +228,9 @@ class LiveCamera(TimedCamera):
         """Checks whether the receiver has a new image, and returns the camera's state with this
         image if it is valid.
 
-        The LCM bus may hold an image that was received after the last check but before this one. If
-        such an image is too old, it is ignored, not rejected, because it became old while the
-        system did not check.
+        An image that is older than `max_age` is rejected with a reason, unless it was captured at
+        most `max_age` before the last check. Such an image is ignored without a reason, because it
+        may have become old only because the system did not check in the meantime.
 
         Args:
             context: present Context.

@@ -6,8 +6,8 @@ prismatic joints along the world's axes. The force of each joint moves the obsta
 trajectory within one step of the plant. The obstacle pushes objects in its way; it deviates from
 its trajectory only by the effect of contact forces during one step.
 
-While an obstacle is absent, it is `ABSENT_HEIGHT` above its position. It appears and vanishes
-within one step, without intermediate positions.
+While an obstacle is absent (before it appears and after it vanishes), it is raised by 50 m
+(`ABSENT_HEIGHT`). It appears and vanishes within one step, without intermediate positions.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ def add_prismatic_joints(
 ) -> None:
     """Connects an obstacle to the world by actuated prismatic joints along the world's axes.
 
-    Gravity is disabled for the obstacle. The joint positions of its model instance are the
-    obstacle's offset (3,) from X_WO along the world's axes [m].
+    Gravity is disabled for the obstacle. The joint positions (3,) of its model instance are the
+    displacement of the obstacle from the pose X_WO along the world's axes [m].
 
     Args:
         plant: plant, not finalized.
         body: body of the obstacle, which is the only body of its model instance.
-        X_WO: pose of the obstacle in the world at zero offset.
-        offset: (3,) initial offset of the obstacle in the world [m].
+        X_WO: pose of the obstacle in the world at zero joint positions.
+        offset: (3,) initial displacement from X_WO along the world's axes [m].
     """
     instance = body.model_instance()
     place = FixedOffsetFrame(
@@ -77,8 +77,8 @@ _FRICTION = 0.7
 
 
 def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceIndex:
-    """Adds an obstacle to a plant as the model instance `obstacle_<name>`, either welded to the
-    world or with prismatic joints.
+    """Adds an obstacle to a plant as the model instance `obstacle_<name>`: welded to the world, or
+    with prismatic joints if it moves, appears or vanishes.
 
     Args:
         plant: plant registered with a scene graph, not finalized.
@@ -114,8 +114,8 @@ def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceInde
 
 
 def obstacle_instances(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, ...]:
-    """Returns the model instances of a plant that are obstacles, recognized by the prefix
-    `OBSTACLE_PREFIX` of their names.
+    """Returns the model instances of a plant that are obstacles: their names begin with "obstacle"
+    (`OBSTACLE_PREFIX`).
     """
     return tuple(
         instance
@@ -125,8 +125,8 @@ def obstacle_instances(plant: MultibodyPlant) -> tuple[ModelInstanceIndex, ...]:
 
 
 class ObstacleMover(LeafSystem):
-    """System that moves an obstacle along its waypoints, and raises it by `ABSENT_HEIGHT` while it
-    is absent.
+    """System that moves an obstacle along its waypoints, and raises it by 50 m (`ABSENT_HEIGHT`)
+    before it appears and after it vanishes.
 
     .. pydrake_system::
 
@@ -136,8 +136,8 @@ class ObstacleMover(LeafSystem):
       output_ports:
       - force
 
-    - obstacle_state: (6,) offset x from the configured pose, and velocity v, of the obstacle in the
-      world [m, m/s].
+    - obstacle_state: (6,) displacement x of the obstacle from its configured pose [m] and its
+      velocity v [m/s], both along the world's axes.
     - force: (3,) forces f of the prismatic joints along the world's axes [N]. Within one time step
       h of the plant, they move the obstacle to the offset r(t + h) of its trajectory: f = m ((r(t +
       h) - x) / h - v) / h, where m is the obstacle's mass.

@@ -50,8 +50,8 @@ def add_cameras(
             system is named bag_<name>.
         scenario: scenario with cameras.
         plant: finalized simulated plant, which is a system of the builder.
-        external: plant state and clocks of cameras outside the simulation; None: state of the
-            simulated plant and the wall clock.
+        external: measured plant state, and clocks, for cameras outside the simulation; None: the
+            state of the simulated plant and the wall clock.
 
     Raises:
         ScenarioError: naming the camera whose configuration is invalid.
@@ -71,11 +71,11 @@ def add_cameras(
 def _simulated_camera(
     builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant, config: CameraConfig
 ) -> Camera:
-    """Adds a simulated camera, with its noise and its faults, to a builder, and returns its ports.
+    """Adds a simulated camera, with its noise and dropouts, to a builder, and returns its ports.
 
     Args:
         builder: builder to which the camera is added.
-        scenario: scenario whose world is rendered, with the noise and the faults.
+        scenario: scenario whose world is rendered, with image noise and faults (`CameraDropout`).
         plant: finalized simulated plant, which is a system of the builder.
         config: configuration of the camera.
 
@@ -118,10 +118,11 @@ def _outside_camera(
 
     Args:
         builder: builder to which the camera is added.
-        source: perception block with the URL of the LCM bus and the time limits, or with the bag.
+        source: perception block: `LcmCamera` with the URL of the LCM bus and the time limits, or
+            `RecordedBag` with path and topics of the bag.
         plant: finalized plant, which contains the camera's base frame.
         config: configuration of the camera: name, intrinsics and pose.
-        external: plant state and clocks.
+        external: measured plant state and clocks.
 
     Raises:
         ScenarioError: if the pose of a camera of `!LcmCamera` is not fixed, if the LCM bus cannot
@@ -148,8 +149,8 @@ def _outside_camera(
 
 
 def release_cameras(diagram: Diagram) -> None:
-    """Releases the render engines and LCM channels of all cameras in a diagram, at the end of a
-    run.
+    """Releases the render engines, LCM channels and open bags of all cameras in a diagram, at the
+    end of a run.
     """
     for system in diagram.GetSystems():
         if isinstance(system, TimedCamera):
@@ -159,7 +160,8 @@ def release_cameras(diagram: Diagram) -> None:
 def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> Noise | None:
     """Returns the function that adds noise to the images of a simulated camera.
 
-    The function is None if the scenario has no noise, or if perception does not use the camera.
+    The function maps a true depth image (H, W) [m] and its capture time [s] to a measured one. The
+    result is None if the scenario has no noise, or if perception does not use the camera.
     """
     source = scenario.perception
     if not isinstance(source, DepthCamera) or config.name not in source.names or not source.noise:
@@ -200,8 +202,8 @@ def make_station(
         builder: builder to which plant, scene graph and, if `render`, the cameras are added.
         scenario: scenario with a robot.
         render: whether the cameras of the scenario are added.
-        external: plant state and clocks of cameras outside the simulation; None: state of the
-            simulated plant and the wall clock.
+        external: measured plant state, and clocks, for cameras outside the simulation; None: the
+            state of the simulated plant and the wall clock.
 
     Raises:
         ScenarioError: naming the invalid field of the scenario.
@@ -234,16 +236,16 @@ def make_station(
 def _check_anchored(
     plant: MultibodyPlant, obstacles: tuple[ModelInstanceIndex, ...], configured: list[Obstacle]
 ) -> None:
-    """Checks that each obstacle is either fixed to the world or configured with a trajectory,
-    because any other obstacle would fall.
+    """Checks that each obstacle is fixed to the world, or is configured to move, appear or vanish;
+    any other obstacle would fall.
 
     Args:
         plant: finalized plant with the obstacles.
         obstacles: model instances of the obstacles.
-        configured: configurations of the scenario's field `obstacles`.
+        configured: obstacles of the scenario's field `obstacles`; others are from `directives`.
 
     Raises:
-        ScenarioError: naming the link that can move, and its obstacle.
+        ScenarioError: naming a link that can move, and its obstacle.
     """
     moving = {f"{OBSTACLE_PREFIX}_{item.name}" for item in configured if item.is_driven}
     for instance in obstacles:

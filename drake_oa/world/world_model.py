@@ -72,7 +72,8 @@ def _check_directives(
 
     Args:
         directives: directives of the scenario, or of the last file in `chain`.
-        packages: package map, to which required installed Python packages are added.
+        packages: package map of the parser; installed Python packages that the URLs of the
+            directives name are added to it.
         chain: files that include the directives, outermost file first; empty for directives of the
             scenario.
 
