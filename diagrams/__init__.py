@@ -3,15 +3,29 @@
 In: a `Scenario`. Out: a Drake `Diagram` with the simulated station (robot, objects and cameras),
 all layers from camera images to joint torques, and loggers.
 
-Layers, in the order of the data flow: station, perception, collision_scene, descriptor, inference,
-route, verification, policy, posture, safety, control; in addition faults and view. A function
+Layers, in the order of the data flow:
+
+- station: simulated plant, scene graph and cameras.
+- perception: obstacles as point clouds (obstacles_W).
+- collision_scene: collision geometry of the obstacles.
+- descriptor: ellipsoids around obstacles dilated by the tool.
+- inference: parameters of the coupling terms by neural networks (regressor chain).
+- route: side on which each obstacle is passed, by cost rings.
+- verification: search for a motion of the whole arm, with simulations (roll-outs).
+- policy: movement primitive with coupling terms, which generates the motion of the tool.
+- posture: nominal posture, to which the null space of the arm is attracted.
+- safety: joint command, speed limits, and maneuvers away from moving obstacles.
+- control: joint torques by inverse dynamics.
+
+In addition, faults are simulated, and a view displays the run. A function
 `add_<layer>(signals, scenario, station)` creates the systems of a layer from the blocks of the
 scenario, and adds these systems to a `SignalBuilder` (`drake_oa.common.signal_builder`). This
 builder connects ports by the names of their signals. The packages of the layers import neither
 scenarios nor the station; only the modules of `drake_oa.diagrams` do.
 
 Signals and the systems that output them (`avoidance.Layers` lists the inputs of each layer). With
-the tag `inference: !Paper` in a scenario, motions are not verified by roll-outs (simulations):
+the tag `inference: !Paper` in a scenario, motions are not verified by roll-outs (simulations), and
+motion_verifier and motion_guard are absent:
 
     robot_state, plant_state, query_object, body_poses     station: the plant
     depth_image, camera_pose, image_stamp,                 station: the camera; with the suffix
@@ -22,11 +36,13 @@ the tag `inference: !Paper` in a scenario, motions are not verified by roll-outs
     proposed_parameters (`!Paper`: coupling_parameters)    regressor_chain
     proposed_route (`!Paper`: route)                       cost_ring_selector
     coupling_parameters, route, motion, demonstration      motion_verifier
-    goal, policy_state, phase, desired_*                   goal, dmp_integrator
+    goal, policy_state, phase, desired_*                   goal, dmp_integrator,
+                                                           orientation_integrator
     desired_posture                                        nominal_posture_source
-    desired_joint_state, speed_scale, evasion_velocity     motion_guard
-    actuation, tracking_error,                             controller
-    torque_saturation, stopping
+    desired_joint_state, desired_joint_acceleration,       motion_guard
+    path_state, speed_scale, evasion_velocity
+    tracking_error                                         motion_guard (`!Paper`: controller)
+    actuation, torque_saturation, stopping                 controller
 
 The files `*.scenario.yaml` in the folder of this package are the shipped scenarios.
 

@@ -6,7 +6,8 @@ One function adds the systems of each layer, and ports are connected by the name
     build_avoidance(scenario, layers=replace(Layers(), perception=my_source))
 
 where `my_source(signals, scenario, station)` adds systems with the outputs that `Layers` lists for
-this layer. `customize` adds, replaces or interposes single systems before the ports are connected:
+this layer. `customize` adds or replaces single systems, or inserts (interposes) them between the
+source of a signal and its readers, before the ports are connected:
 
     build_avoidance(scenario, customize=lambda s: s.interpose("obstacles_W", "filter", system))
 
@@ -31,9 +32,10 @@ from drake_oa.diagrams.view import add_view
 from drake_oa.scenario.scenario import Scenario
 
 AddLayer = Callable[[SignalBuilder, Scenario, StationModel | None], None]
-"""Function (signals, scenario, station) that adds the systems of a layer to the signals.
+"""Function (signals, scenario, station) that adds the systems of a layer to a diagram.
 
-The station is None for a scenario without a robot."""
+The first argument is the `SignalBuilder` that receives the systems. The station (plant and cameras)
+is None for a scenario without a robot."""
 
 
 def no_op(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
@@ -48,34 +50,51 @@ class Layers:
     order of the fields matters. A function adds no system if the scenario does not require the
     layer.
 
+    - perception: point clouds of the obstacles.
+    - collision_scene: collision geometry of the obstacles.
+    - descriptor: ellipsoids around obstacles dilated by the tool.
+    - inference: parameters of the coupling terms by neural networks.
+    - route: side on which each obstacle is passed, by cost rings.
+    - verification: search for a motion, with simulations of the whole arm.
+    - policy: motion of the tool by a movement primitive with coupling terms.
+    - posture: nominal posture, to which the null space of the arm is attracted.
+    - safety: joint command, with speed limits and maneuvers away from moving obstacles.
+    - control: joint torques.
+
     ================= ============================================ ================================
     layer             inputs                                       outputs
     ================= ============================================ ================================
     perception        depth_image, camera_pose, image_stamp,       obstacles_W, free_space_W, cloud
                       plant_state_at_image
-    collision_scene   obstacles_W                                  collision_scene_W
-    descriptor        obstacles_W                                  ellipsoids_W
+    collision_scene   obstacles_W, camera_pose, free_space_W       collision_scene_W
+    descriptor        obstacles_W, goal if it moves                ellipsoids_W
     inference         ellipsoids_W, policy_state                   proposed_parameters
     route             ellipsoids_W, policy_state, goal             proposed_route
     verification      proposed_parameters, proposed_route,         coupling_parameters, route,
                       ellipsoids_W, collision_scene_W,             motion, demonstration
                       path_state, policy_state, goal
     policy            ellipsoids_W, coupling_parameters, route,    goal, policy_state, phase,
-                      speed_scale, evasion_velocity                desired_position, _velocity,
-                                                                   _acceleration
+                      speed_scale, evasion_velocity,               desired_position, _velocity,
+                      demonstration                                _acceleration, and if the tool
+                                                                   rotates desired_orientation,
+                                                                   desired_angular_velocity,
+                                                                   desired_angular_acceleration
     posture           motion, policy_state                         desired_posture
     safety            collision_scene_W, free_space_W,             desired_joint_state,
-                      robot_state, motion, policy_state,           desired_joint_acceleration,
-                      desired_posture, torque_saturation,          path_state, speed_scale,
-                      stopping, desired motion of the tool         evasion_velocity
-    control           robot_state, desired motion of the joints    actuation, torque_saturation,
-                      or of the tool                               stopping, tracking_error
+                      robot_state, motion, demonstration,          desired_joint_acceleration,
+                      policy_state, desired_posture,               path_state, speed_scale,
+                      torque_saturation, stopping, desired         evasion_velocity,
+                      motion of the tool                           tracking_error
+    control           robot_state, desired motion of the joints,   actuation, torque_saturation,
+                      or without the safety layer that of the      stopping; without the safety
+                      tool and desired_posture                     layer tracking_error
     ================= ============================================ ================================
 
-    With `perception: !GroundTruth` the perception layer outputs collision_scene_W, too, and with
-    `!GivenEllipsoids` ellipsoids_W only. With `inference: !Paper` (motions are not verified by
-    roll-outs), the layers collision_scene, verification and safety add no system; inference and
-    route output coupling_parameters and route.
+    With `perception: !GroundTruth` (exact obstacles of the simulated world), the perception layer
+    reads query_object, and outputs collision_scene_W, too. With `!GivenEllipsoids` (ellipsoids in
+    the scenario), it outputs ellipsoids_W only. With `inference: !Paper` (motions are not verified
+    by roll-outs, which are simulations of the whole arm), the layers collision_scene, verification
+    and safety add no system; inference and route output coupling_parameters and route.
     """
 
     perception: AddLayer = add_perception
@@ -93,7 +112,8 @@ class Layers:
 def without_avoidance(layers: Layers) -> Layers:
     """Returns the layers of a diagram for the nominal motion, which does not avoid obstacles.
 
-    Perception, collision scene, descriptor, inference, route, verification and safety are removed.
+    The nominal motion is the demonstrated one, or a straight minimum-jerk motion. The layers
+    perception, collision_scene, descriptor, inference, route, verification and safety add nothing.
 
     Args:
         layers: functions that add the layers.
@@ -121,22 +141,25 @@ def build_avoidance(
 ) -> Diagram:
     """Builds the diagram of a scenario: station, all layers from cameras to torques, and loggers.
 
-    The diagram has the output ports desired_position, phase and policy_state.
+    The diagram has the output ports desired_position ((3,), tool point in the world [m]), phase
+    ((1,), of the movement primitive, 1 at the start and decaying to 0) and policy_state
+    (`PolicyState`).
 
     Args:
         scenario: configuration of all systems.
         avoid_obstacles: whether obstacles are avoided; False: the layers are reduced by
             `without_avoidance` to those of the nominal motion.
         layers: functions that add the layers; None: `Layers()`.
-        customize: function that changes the signals before they are connected.
-        meshcat: viewer of the motion, or None.
+        customize: function that adds, replaces or interposes systems of the `SignalBuilder` before
+            the ports are connected; None: no change.
+        meshcat: viewer of the motion; None: no viewer.
         add_station: function with the parameters of `drake_oa.diagrams.station.add_station` that
             adds robot and cameras, for example those of real hardware.
 
     Raises:
         ScenarioError: if the scenario is invalid; names the field.
-        ValueError: if two systems output the same signal, or a system is interposed behind a
-            signal without a source.
+        ValueError: if two systems output the same signal, or a system is interposed on a signal
+            without a source.
     """
     layers = layers or Layers()
     if not avoid_obstacles:

@@ -28,13 +28,15 @@ from drake_oa.scenario.sources import padding, perception_period
 def add_control(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
     """Adds the system `controller`, which computes the actuation from state and desired motion.
 
-    With MotionGuard the controller is a JointInverseDynamics, which tracks the joint motion of
-    MotionGuard. Without MotionGuard it is a CartesianInverseDynamics, which tracks the motion of
-    the tool; its default posture and orientation are those at the start. Both use the model of the
-    robot, with the model error of the scenario's faults.
+    With the system MotionGuard of the safety layer, the controller is a JointInverseDynamics, which
+    tracks the joint motion that MotionGuard outputs. Without MotionGuard it is a
+    CartesianInverseDynamics, which tracks the motion of the tool; if the signals desired_posture
+    and desired_orientation do not exist, it holds the posture and orientation at the start. Both
+    use the model of the robot, whose inertias the last `ModelError` among the scenario's faults
+    replaces.
 
     Raises:
-        ScenarioError: if the model error belongs to another robot.
+        ScenarioError: if the inertias of the `ModelError` belong to another robot.
     """
     if station is None:
         return
@@ -60,18 +62,20 @@ def add_control(signals: SignalBuilder, scenario: Scenario, station: StationMode
 
 
 _GUIDE_SAMPLES = 41
-"""Number of samples of the nominal posture from the task's start to its configuration at the goal.
+"""Number of samples of the nominal posture from the start of the task to its goal.
 
-The null space of the arm tracks the nominal posture."""
+The nominal posture is the configuration to which the null space of the arm is attracted. The
+samples are evenly spaced in normalized time."""
 
 
 def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
     """Adds systems that output desired_posture, the nominal posture that the null space tracks.
 
-    With MotionVerifier this is the system nominal_posture_source, which follows the planned motion.
-    Without MotionVerifier these are the systems posture_guide and guide_follower, if the task
-    specifies a configuration at the goal. The posture then leads from the configuration at the
-    start to that at the goal.
+    With the signal motion (planned motion of the verification layer), this is the system
+    nominal_posture_source, which outputs the planned joint positions at the present phase. Without
+    it, and if the task specifies a configuration at the goal (`task.q_goal`), these are the systems
+    posture_guide and guide_follower. The posture then leads from the configuration at the start to
+    that at the goal by a minimum-jerk profile.
     """
     if station is None:
         return
@@ -98,8 +102,8 @@ def add_safety(signals: SignalBuilder, scenario: Scenario, station: StationModel
 
     It is added only if motions are verified by roll-outs (simulations). Main inputs are the desired
     motion of the tool, the signal motion (verified motion of the arm), collision_scene_W and
-    robot_state. Outputs are desired_joint_state, desired_joint_acceleration, path_state,
-    speed_scale and evasion_velocity.
+    robot_state. Main outputs are desired_joint_state, desired_joint_acceleration, path_state (state
+    of the robot on the verified motion), speed_scale (fraction of full speed) and evasion_velocity.
     """
     if station is None or "motion" not in signals:
         return

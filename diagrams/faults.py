@@ -18,9 +18,10 @@ from drake_oa.world.station import Station
 def add_faults(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
     """Adds the fault models of a scenario, and the systems that drive moving obstacles.
 
-    If the scenario has such faults, the system weak_actuators limits torques, and the system push
-    applies external forces to links. For each driven obstacle, a system mover_<model instance> is
-    added, and plant_state is logged.
+    For faults `!TorqueSaturation`, the system weak_actuators limits the torques, and for faults
+    `!Push`, the system push applies external wrenches to links. For each driven obstacle (which
+    moves, appears or vanishes), a system mover_<model instance> is added, and plant_state is
+    logged.
 
     Raises:
         ScenarioError: for a push on a link that the robot does not have; names the field.
@@ -63,7 +64,7 @@ def add_faults(signals: SignalBuilder, scenario: Scenario, station: StationModel
 
 
 def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, ObstacleMover]:
-    """Creates a system ObstacleMover for each driven obstacle of a scenario.
+    """Creates a system ObstacleMover for each obstacle that moves, appears or vanishes.
 
     Args:
         scenario: configuration of the obstacles.

@@ -48,8 +48,9 @@ def add_policy(signals: SignalBuilder, scenario: Scenario, station: StationModel
     """Adds the systems that generate the desired motion of the tool.
 
     They are goal, dmp_integrator (movement primitive of the position) and, if the tool rotates,
-    orientation_integrator. The inputs of dmp_integrator are ellipsoids_W, coupling_parameters,
-    route, speed_scale and evasion_velocity, as far as these signals exist.
+    orientation_integrator (movement primitive of the orientation). The inputs of dmp_integrator are
+    goal and, as far as these signals exist, ellipsoids_W, coupling_parameters, route, speed_scale,
+    evasion_velocity and demonstration.
     """
     task, policy = scenario.task, scenario.policy
     goal: LeafSystem = ConstantVectorSource(np.asarray(task.goal))
@@ -75,7 +76,7 @@ def add_policy(signals: SignalBuilder, scenario: Scenario, station: StationModel
 
 
 def make_dmp(scenario: Scenario) -> Dmp:
-    """Creates the movement primitive of a scenario's task.
+    """Creates the movement primitive of the tool position for a scenario's task.
 
     The primitive imitates the demonstrations of the task or, without any, a straight minimum-jerk
     motion.
@@ -95,7 +96,10 @@ _logger = logging.getLogger("drake_oa")
 
 
 Rings = Mapping[str, Ring] | None
-"""User-supplied cost rings by name, or None; a cost ring rates the sides of passing an obstacle."""
+"""Type of user-supplied cost rings by name, or None for no rings.
+
+A cost ring is a function that computes costs in [0, 1] of the directions in which an obstacle can
+be passed; 1 forbids a direction."""
 
 
 def add_route(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
@@ -103,7 +107,8 @@ def add_route(signals: SignalBuilder, scenario: Scenario, station: StationModel 
 
     The inputs are ellipsoids_W, policy_state and goal. The output is route, or with
     `inference: !Verified` (motions are verified by roll-outs) proposed_route. With
-    `inference: !Paper`, the system is added only if the field `guided` is set.
+    `inference: !Paper`, the system is added only if `inference.guided` is true: guidance then turns
+    the motion to the selected side.
 
     Args:
         signals: builder that receives the system.
@@ -124,7 +129,11 @@ def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRing
 
     A cost ring rates the sides on which an obstacle can be passed. With `inference: !Paper`, the
     selector also has rings for reach and joint limits of the arm. With `!Verified` these are left
-    out, because MotionVerifier simulates the whole arm.
+    out, because the system MotionVerifier simulates the whole arm.
+
+    Args:
+        scenario: configuration of the selector.
+        rings: user-supplied cost rings by name; None: no additional rings.
     """
     inference = scenario.inference
     is_verified = isinstance(inference, Verified)
@@ -140,15 +149,22 @@ def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRing
 _LEG_SAMPLES = 6
 """Number of tool poses on each straight leg of a path at which joint margins are computed.
 
-Joint margins are distances of the joints from their limits, by inverse kinematics."""
+A path leads from the start to the goal, on one leg, or on two legs via a point beside an obstacle.
+A joint margin is the minimum distance of the joints from their limits, by inverse kinematics [rad].
+"""
 
 
 def make_joint_margins(scenario: Scenario) -> JointMargins | None:
     """Creates the function that computes the joints' distance from their limits along tool paths.
 
-    The arm follows each path from the path's start. The null space of the arm tracks the
-    configuration at the start of the task, as it does with the controller. The distances are inf
-    for all paths if their start is out of reach.
+    The argument of this function contains P corners of each of N paths of the tool point, (N, P, 3)
+    in the world frame [m]; all paths have the same start. The result (N, P) contains for each
+    corner the minimum distance of the joints from their limits on the leg to this corner [rad]. It
+    is -inf from the first corner on that the arm cannot reach, and inf for all paths if their start
+    is out of reach.
+
+    The arm follows each path by inverse kinematics. Its null space tracks the configuration at the
+    start of the path, which is computed from the configuration at the start of the task.
 
     Returns:
         Function of type `JointMargins`; None for a scenario without a robot.
@@ -182,8 +198,8 @@ def make_joint_margins(scenario: Scenario) -> JointMargins | None:
 def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArray]:
     """Creates the function that computes the orientation of the tool along a scenario's motion.
 
-    This function maps normalized times (T,), 0 at the start and 1 at the end, to orientations R_WE
-    (T, 3, 3).
+    This function maps normalized times (T,), 0 at the start and 1 at the end of the motion, to
+    orientations R_WE (T, 3, 3) of the tool frame in the world.
     """
     held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
     return (lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along
@@ -195,11 +211,14 @@ def add_verification(
     """Adds the system motion_verifier for `inference: !Verified`, which searches for a motion.
 
     The system verifies motions by simulation of the whole arm. Inputs are collision_scene_W,
-    policy_state, goal, path_state, proposed_parameters and proposed_route; outputs are motion,
-    demonstration, coupling_parameters and route.
+    ellipsoids_W, policy_state, goal, proposed_parameters, proposed_route and path_state (state of
+    the robot on the verified motion; without the safety layer robot_state). Main outputs are motion
+    (joint motion of the arm), demonstration (motion that the movement primitive imitates),
+    coupling_parameters and route.
 
     Raises:
-        ScenarioError: if the scenario has no robot, or no collision geometry of the obstacles.
+        ScenarioError: if the scenario has no robot, or if perception provides ellipsoids only and
+            no collision geometry of the obstacles.
     """
     inference, policy, task = scenario.inference, scenario.policy, scenario.task
     if not isinstance(inference, Verified):
@@ -257,7 +276,7 @@ def add_verification(
 def _warn_of_bare_links(station: StationModel) -> None:
     """Logs a warning about links of the robot that have visual but no collision geometry.
 
-    The clearance of such links is not checked.
+    The distance of such links to obstacles is not checked.
     """
     plant, inspector = (
         station.robot_plant.plant,
@@ -281,8 +300,10 @@ def _warn_of_bare_links(station: StationModel) -> None:
 def add_inference(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
     """Adds the system regressor_chain, which computes the parameters of the coupling terms.
 
-    The inputs are ellipsoids_W and policy_state. The output is coupling_parameters, or with
-    `inference: !Verified` proposed_parameters.
+    The regressor chain consists of three neural networks, which compute kappa, psi and alpha of the
+    avoidance term. The inputs are ellipsoids_W and policy_state. The output is coupling_parameters,
+    or with `inference: !Verified` (motions are verified by roll-outs) proposed_parameters. With
+    `!Verified` the system is added only if `inference.chain` names a weights file.
 
     Raises:
         ScenarioError: for a weights file that is missing or of another network; names the file.

@@ -46,14 +46,16 @@ from drake_oa.world.bag_images import ImageRecorder
 from drake_oa.world.cameras import PIXEL_CENTER
 
 AddSource = Callable[..., None]
-"""Function (signals, block, scenario, station) that adds a source of obstacles to the signals.
+"""Function (signals, block, scenario, station) that adds a source of obstacles to a diagram.
 
-The block is the scenario's field `perception`. The station is None if the scenario has no robot."""
+The first argument is the `SignalBuilder` that receives the systems. The block is the value of the
+scenario's field `perception`. The station (plant and cameras) is None if the scenario has no robot.
+"""
 
 SOURCES: dict[type, AddSource] = {}
-"""Functions that add sources of obstacles, by the class of the block `perception`.
+"""Functions that add sources of obstacles to a diagram, by the class of the block `perception`.
 
-`register_source` adds a function."""
+`register_source` adds a function to this dictionary."""
 
 
 def register_source(block: type, add: AddSource) -> None:
@@ -62,11 +64,13 @@ def register_source(block: type, add: AddSource) -> None:
     Args:
         block: dataclass with a field `period`, the time between observations [s]. A scenario file
             selects it by `perception: !<name of the class> {<field>: <value>}`.
-        add: function (signals, block, scenario, station), as `AddSource`, that adds the systems of
-            the source to the signals. The systems output obstacles_W (`ObstacleClouds`). Optional
-            outputs are cloud for the viewer, collision_scene_W (`CollisionScene`) in place of the
-            scene estimated from obstacles_W, and free_space_W (`FreeSpace`), without which all
-            space outside collision geometry counts as free.
+        add: function (signals, block, scenario, station) that adds the systems of the source to a
+            `SignalBuilder`. Its arguments are this builder, the instance of `block`, the scenario,
+            and the station (plant and cameras; None without a robot). The systems output
+            obstacles_W (`ObstacleClouds`). Optional outputs are cloud (`PointCloud`) for the
+            viewer, collision_scene_W (`CollisionScene`) in place of the scene estimated from
+            obstacles_W, and free_space_W (`FreeSpace`), without which all space outside collision
+            geometry counts as free.
     """
     allow_perception(block)
     SOURCES[block] = add
@@ -77,7 +81,8 @@ def add_perception(
 ) -> None:
     """Adds the source of obstacles that the scenario's field `perception` selects.
 
-    The source outputs obstacles_W; only the source `!GivenEllipsoids` outputs ellipsoids_W instead.
+    The source outputs obstacles_W (point clouds of the obstacles). Only the source
+    `!GivenEllipsoids` outputs ellipsoids_W instead.
 
     Raises:
         ScenarioError: if the scenario is invalid; names the field.
@@ -218,10 +223,10 @@ def add_collision_scene(
 
 
 def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> SegmentationConfig:
-    """Returns the segmentation parameters of a source of obstacles.
+    """Returns the parameters by which a source of obstacles segments images or point clouds.
 
-    If the source's block of the scenario does not set the height of the table, the table height of
-    the scenario is used. If the scenario has no table either, the search for a table plane is
+    They are the field `segmentation` of the source's block. If its `table_height` is null, the
+    scenario's `table_height` is used. If this is null, too, the search for a table plane is
     switched off.
     """
     if source.segmentation.table_height is not None:
@@ -234,12 +239,12 @@ def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> 
 def record_images(bag: BagWriter, scenario: Scenario, signals: SignalBuilder) -> None:
     """Adds the systems recorder_<camera>, which write the images of perception's cameras to a bag.
 
-    Without cameras that are simulated or real, nothing is added.
+    Nothing is added if perception uses no camera, or replays the images of a bag.
 
     Args:
-        bag: open bag.
+        bag: writer of the bag.
         scenario: configuration of the cameras.
-        signals: signals with a plant and the cameras.
+        signals: builder of the diagram, to which the plant and the cameras have been added.
     """
     source = scenario.perception
     if not isinstance(source, DepthCamera | LcmCamera):
@@ -256,8 +261,8 @@ def add_descriptor(
 ) -> None:
     """Adds the system ellipsoid_descriptor, which computes ellipsoids_W from obstacles_W.
 
-    Each ellipsoid describes an obstacle dilated by the tool. The system is not added without
-    obstacles_W.
+    An ellipsoid describes an obstacle, or a part of it, dilated by the tool, so that the tool
+    counts as its tool point. The system is not added without a robot or without obstacles_W.
     """
     if station is None or "obstacles_W" not in signals:
         return
@@ -268,7 +273,7 @@ def add_descriptor(
 def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
     """Creates the system that computes ellipsoids of obstacles dilated by the tool.
 
-    Obstacles are dilated by the tool in all orientations that the task requires.
+    Obstacles are dilated by the tool in all orientations that it has along the task's motion.
     """
     task = scenario.task
     held = list(map(tool_link_corners, robots_along_motion(scenario)))

@@ -28,8 +28,8 @@ class StationModel(Station):
     Attributes:
         scenario: configuration of the station.
         robot_plant: plant of the robot without its environment.
-        q_start: (nq,) positions of the robot with the tool point E at the start of the task [rad,
-            m].
+        q_start: (nq,) positions of all robot joints, fingers included, with the tool point E at the
+            start of the task [rad, m].
     """
 
     scenario: Scenario
@@ -61,7 +61,7 @@ def add_station(
     avoid_obstacles: bool = True,
     external: ExternalInputs | None = None,
 ) -> StationModel | None:
-    """Adds plant, scene graph, and the cameras that perception uses to a diagram.
+    """Adds plant, scene graph and, if perception uses cameras, the cameras to a diagram.
 
     The signals of the plant are robot_state, plant_state, query_object and body_poses. The signals
     of a camera are depth_image, camera_pose, image_stamp and plant_state_at_image, with the suffix
@@ -70,8 +70,9 @@ def add_station(
     Args:
         signals: builder that receives the systems.
         scenario: configuration of the station.
-        avoid_obstacles: whether images are rendered, for a diagram that avoids obstacles.
-        external: state and clocks for cameras outside the simulation.
+        avoid_obstacles: whether the diagram avoids obstacles; False: no cameras are added.
+        external: measured plant state, and clocks, for cameras outside the simulation; None: the
+            state of the simulated plant and the wall clock.
 
     Returns:
         Station with the robot models; None for a scenario without a robot.
@@ -105,14 +106,17 @@ def add_station(
 
 
 _COVERED: dict[tuple[str, RobotPlant], ArmSpheres] = {}
-"""Cache of the spheres that cover each robot, because computing them requires seconds."""
+"""Cache of the spheres that cover each robot, by the text of its configuration block and its plant.
+
+Computing the spheres requires seconds."""
 
 
 def covered_arm(robot: Robot) -> ArmSpheres:
-    """Returns spheres that cover a robot's collision geometry, as set by the field `spheres`.
+    """Returns spheres that cover a robot's collision geometry.
 
-    The spheres are computed once per process, in the home configuration. In another configuration
-    rounding would differ, and results would depend on the scenarios that the process ran before.
+    The field `robot.spheres` sets how far they protrude from the surfaces. The spheres are computed
+    once per process, in the home configuration. In another configuration rounding would differ, and
+    results would depend on the scenarios that the process ran before.
 
     Raises:
         ScenarioError: for a robot that cannot be covered.

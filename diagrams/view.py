@@ -21,7 +21,9 @@ def add_view(
 ) -> None:
     """Adds Drake's visualizer, and the system overlay that draws intermediate results of layers.
 
-    If `inference: !Paper` does not use cost rings, a cost ring selector is added for the overlay.
+    The overlay draws point cloud, ellipsoids, paths and cost rings (costs of passing an obstacle in
+    each direction). If the layers of `inference: !Paper` compute no cost rings, a system that
+    computes them is added for the overlay only.
     """
     if isinstance(scenario.inference, Paper) and "shown_route" not in signals:
         outputs = {"decision": None, "route": "shown_route"}
@@ -38,7 +40,9 @@ def make_overlay(
 ) -> MeshcatOverlay:
     """Creates the system that draws intermediate results of the layers in the viewer.
 
-    Background and camera pose of the viewer are also set.
+    It also sets background and camera pose of the viewer. The field `view.show` of the scenario
+    selects the results that are displayed at first; null: cost rings and paths, and for
+    `inference: !Paper` also the ellipsoids.
     """
     set_scene_style(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     show = scenario.view.show
@@ -58,9 +62,10 @@ def make_overlay(
 
 
 def _nominal_path(scenario: Scenario) -> FloatArray | None:
-    """Computes the path (T, 3) of the nominal motion in the world frame [m].
+    """Computes the path (T, 3) of the tool point in the nominal motion, in the world frame [m].
 
-    The path is None for a task without demonstration, whose nominal motion is a straight line.
+    The nominal motion is the demonstrated motion without coupling terms. The path is None for a
+    task without demonstration, whose nominal motion is a straight line.
     """
     task = scenario.task
     if not task.demonstration:

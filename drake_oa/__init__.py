@@ -1,8 +1,9 @@
 """Reactive obstacle avoidance of robot arms as Drake systems, by the method of Pairet et al., RA-L
 2019.
 
-`from drake_oa import DepthPerception` imports the Drake system of a layer. The module of a system
-is imported only at the first access to the system.
+`from drake_oa import DepthPerception` imports the Drake system of a layer (perception, descriptor,
+route, inference, planning, policy, posture, safety, control or viewing). The module of a system is
+imported only at the first access to the system.
 """
 
 from importlib import import_module as _import_module
@@ -31,7 +32,7 @@ _SYSTEMS = {
     "CartesianInverseDynamics": "control.cartesian_inverse_dynamics",
     "MeshcatOverlay": "viewing.meshcat_overlay",
 }
-"""Modules in this package of the exported Drake systems, by class name."""
+"""Modules of the exported Drake systems, relative to this package, by class name of the system."""
 
 __all__ = list(_SYSTEMS)
 
@@ -40,7 +41,7 @@ def __getattr__(name: str) -> type:
     """Returns the class of an exported Drake system, whose module is imported at the first access.
 
     Raises:
-        AttributeError: if no exported system has this name.
+        AttributeError: if no exported Drake system has this name.
     """
     if name not in _SYSTEMS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
