@@ -74,7 +74,8 @@ _SURFACE_MARGIN = 0.01
 """Distance from the surface of an object or the arm up to which a place counts as occupied, since
 the pixels of depth images have a finite size [m]."""
 _MIN_SPEED, _MAX_SPEED = 1e-3, 100.0
-"""Speeds between which an object counts as moving [m/s]. A faster one appears or vanishes."""
+"""Speeds between which an object counts as moving [m/s]. A higher speed between two samples is that
+of an object that appears or vanishes, which is no motion."""
 _PAUSE = 2.0
 """Time for which an object that has come to rest still counts as moving, since it may move again
 [s]."""
@@ -103,9 +104,9 @@ def claim_violations(
         q: (T, n) joint positions [rad].
         stamp: (T,) time of measurement of the newest observation at each instant [s]; -inf without
             one.
-        free_space: function from a time of measurement [s] to the space that the true depth images
-            of all cameras show to be free, called only if a claim depends on it; None: all space is
-            observed.
+        free_space: function from a time of measurement [s] to a `FreeSpace`, the region that the
+            true depth images of all cameras show to be free; called only if a claim depends on it.
+            None: all space counts as observed.
 
     Returns:
         "A" and "B" -> (T,) whether the claim is violated at each instant; False at the last one,
@@ -171,11 +172,13 @@ def is_unobserved(
 ) -> BoolArray:
     """Finds places that, at one time, no camera observes as free and no object or link occupies.
 
+    A place within 1 cm (`_SURFACE_MARGIN`) of an object or a sphere of the arm counts as occupied.
+
     Args:
         places: (N, 3) positions in the world [m].
         geometries: true collision geometries at that time.
         arm: (S, 3) centers in the world and (S,) radii of the arm's spheres at that time [m].
-        free_space: space that the cameras observe to be free at that time.
+        free_space: region that the images of the cameras at that time show to be free.
 
     Returns:
         (N,) whether each place is unobserved.

@@ -73,6 +73,9 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
     """Assesses each contact of a run with an obstacle or the environment: closing speed, energy and
     avoidability.
 
+    A contact that begins before, or within 1 s after, the end of an earlier one has the
+    avoidability of the earlier one.
+
     Args:
         scenario: scenario of the run, with a robot.
         log: log of the run.
@@ -93,9 +96,9 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
           before the contact avoids it.
         - avoidable_by_view: whether such a motion from 0.05 to 0.5 s before the contact avoids it,
           and the obstacle's velocity was observed 0.1 to 0.3 s before the latest such start.
-        - parked_contact: names of those configurations at which an arm that stays at rest would be
-          touched by an object: "start", "goal" (both from time 0 on), and "first_sight" (that at
-          the first observation of the obstacle, from then on).
+        - parked_contact: names of the configurations at which an object would touch an arm that
+          rests there: "start" and "goal", if it rests from time 0 on, and "first_sight", the
+          configuration at the first observation of `obstacle`, if it rests from that time on.
     """
     end, q_goal = last_change(scenario.obstacles), end_positions(scenario)[1]
     trajectories = {f"{OBSTACLE_PREFIX}_{item.name}": item for item in scenario.obstacles}

@@ -10,15 +10,15 @@ obstacles exactly. At each step of `DifferentialInverseKinematicsSystem` a quadr
 computes the joint velocity v, at the commanded positions, that moves the tool best toward the
 desired pose. The program is subject to joint velocity limits. For every pair of a robot link and
 an object, or of two links, with distance d and padding p, whose padded distance phi = d - p is
-below the influence distance, it is also subject to
+below s + 0.2 m (`INFLUENCE`), it is also subject to
 
-    phi + (dphi/dq) v dt >= s.
+    phi + (dphi/dq) v dt >= s,    dt = 0.3 s (`HORIZON`).
 
 Hence the minimum clearance of a pair is s + p. The safety distance s is the smaller of the minimum
 clearances of tool and other links, and the padding p of a pair is the remainder of the minimum
 clearance of this pair. Between d = 0 and d = p the gradient of Drake 1.51 has the wrong sign
-(RobotLocomotion/drake#25016), which would increase a penetration. Since s > 0, this region begins
-at a distance s below the minimum clearance.
+(RobotLocomotion/drake#25016), which would increase a penetration. If s > 0, this region begins at
+a distance s below the minimum clearance.
 """
 
 from __future__ import annotations
@@ -321,8 +321,8 @@ class CommandedJoints(LeafSystem):
 
 @contextlib.contextmanager
 def _without_solver_messages() -> Iterator[None]:
-    """Suppresses messages of Drake and the solver OSQP about infeasible steps and inactive
-    constraints.
+    """Suppresses messages of Drake and the solver OSQP, about infeasible steps and inactive
+    constraints, within a `with` block.
     """
     logger = logging.getLogger("drake")
     level, out = logger.level, os.dup(1)
@@ -345,7 +345,7 @@ def simulate_differential_ik(scenario: Scenario, duration: float | None = None) 
     rest.
 
     The desired tool pose follows the nominal motion and then stays at the goal. While the quadratic
-    program is infeasible the robot is held.
+    program is infeasible the commanded joint positions are held.
 
     The minimum clearance of the tool is the achievable clearance: the requested one, limited by the
     clearances at start and goal. The minimum clearance of other links is the requested one, at most

@@ -7,21 +7,23 @@ of 1,000 steps of 1/60 s:
 
 - `sudden`: a box appears at step 30 on the nominal path of the tool, at the first position at least
   0.1 m from the robot; it disappears 100 steps before the end;
-- `floating`: three boxes start 0.8 to 1.0 m from the point (0.15, 0, 0.5), fly toward it (within
-  0.2 m along each axis), and reverse at 1.2 m from it; they disappear 300 steps before the end;
+- `floating`: three boxes start 0.8 to 1.0 m from the point (0.15, 0, 0.5) m in the world, fly
+  toward it (within 0.2 m along each axis), and reverse at 1.2 m from it; they disappear 300 steps
+  before the end;
 - `goal_blocked`: a box appears at the goal when the nominal tool position is 0.5 m from it; it
   disappears 200 steps before the end;
 - `moving_goal_blocked`: the robot starts at the goal; boxes start 0.5 to 0.6 m from the goal and at
   least 1 cm from the robot, fly toward the goal, and reverse at 1.0 m from it; they disappear 300
   steps before the end.
 
-Flying boxes also reverse at the base (a cylinder with a radius of 0.25 m) and at x < 0.1 m. This
-module draws static objects and nominal motions (tool motions without avoidance). Differences from
-DRPBench:
+Flying boxes also reverse at the base (a cylinder with a radius of 0.25 m) and at x < 0.1 m in the
+world. This module draws static objects and nominal motions (tool motions without avoidance).
+Differences from DRPBench:
 
 - Boxes depend on the nominal motion, not on the executed one, so that a scene is the same for all
-  methods. The robot on its nominal motion keeps the minimum distance to the place of a box at all
-  times until the box appears. A sudden box does not appear a second time 200 steps later.
+  methods. Until a box appears, the robot on its nominal motion keeps at least 1 cm distance to the
+  place of the box, or 0.1 m in `sudden`. A sudden box does not appear a second time 200 steps
+  later.
 - Flying boxes also reverse at the table.
 - In `moving_goal_blocked` the robot starts 5 cm from the goal, since start and goal of a task must
   differ.
@@ -73,12 +75,12 @@ class Level:
 
     Attributes:
         draw_boxes: function that draws the flying or appearing boxes from a source of random
-            numbers, a level and a nominal motion; it returns no boxes if they cannot be placed.
+            numbers, a level and a nominal motion; an empty list if they cannot be placed.
         size: range of the edge lengths of a flying or appearing box [m].
         count: number of flying boxes.
         speed: range of the speeds of flying boxes [m/s].
-        world: names of the static objects, "open_box" or "shelf".
-        inside: whether start and goal are inside the static object.
+        world: names of the static objects in the scene: "open_box", "shelf", both or none.
+        inside: whether start and goal are inside the only static object.
         draw_motion: function that draws the nominal motion from a source of random numbers; it
             returns None if a draw is rejected.
     """
@@ -133,8 +135,8 @@ _GOALS = (0.40, -0.40, 0.30), (0.60, 0.40, 0.55)
 
 
 def _draw_hold(random: Generator, *, forward: bool = False) -> Motion | None:
-    """Draws a tool motion of 5 cm along x to a random goal, for the DRPBench levels
-    `moving_goal_blocked`.
+    """Draws a tool motion of 5 cm along the world's x axis to a random goal, for the DRPBench
+    levels `moving_goal_blocked`.
 
     Args:
         random: source of random numbers.
@@ -156,9 +158,11 @@ _CASES = {
     "open_box": (5, (0.12, 0.12, 0.0, 0.12), (0.22, 0.22, 0.0, 0.25)),
     "shelf": (0, (0.10, 0.27, 0.15, 0.32), (0.15, 0.37, 0.30, 0.40)),
 }
-"""Name of a static object -> index of its open face (0 to 2: at the minimum of x, y, z; 3 to 5: at
-the maximum), and minima and maxima of half depth (along x), half width (along y), height of the
-lower face above the table, and inner height [m]."""
+"""Name of a static object -> index of its open face, and minima and maxima of four dimensions [m].
+
+Faces 0 to 2 are at the minimum of x, y and z in the object's frame, 3 to 5 at the maximum. The
+dimensions are measured between the middle planes of the boards: half depth (along x), half width
+(along y), height of the lower board above the table, and height of the upper board above it."""
 
 
 def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | None) -> Obstacle:
@@ -168,9 +172,9 @@ def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | N
         random: source of random numbers.
         name: "open_box" or "shelf".
         number: number of the obstacle, which determines its name and color.
-        inside: (3,) tool point that is to be inside the object, 6 to 10 cm behind its front, in the
-            world [m]; the object then has a yaw of 0. None: the object is anywhere on the table and
-            its front faces the robot's base.
+        inside: (3,) tool point that is to be inside the object, 6 to 10 cm behind its front (the
+            face at minimum x in its frame), in the world [m]; the object then has a yaw of 0. None:
+            the object is anywhere on the table and its front faces the robot's base.
     """
     opening, smallest, largest = _CASES[name]
     x, y, low, height = random.uniform(smallest, largest)
@@ -195,13 +199,13 @@ def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | N
 _FLOATING_TARGET = np.array([0.15, 0.0, 0.5])
 """Point in the world toward which the boxes of the DRPBench levels `floating` fly [m]."""
 _FLOATING_RANGES = (0.8, 1.0), 1.2, 0.2
-"""Distances between flying boxes and the point toward which they fly in the DRPBench levels
-`floating`: range at the start, distance at which a box reverses, and maximum error of the direction
-of flight, as an offset of the point along each axis [m]."""
+"""Distances that determine the lines of flying boxes in the DRPBench levels `floating` [m]: range
+of the distance from `_FLOATING_TARGET` at the start, distance from it at which a box reverses, and
+maximum distance, along each world axis, between it and the point toward which a box flies."""
 _GOAL_RANGES = (0.5, 0.6), 1.0, 0.01
-"""Distances between flying boxes and the goal in the DRPBench levels `moving_goal_blocked`: range
-at the start, distance at which a box reverses, and maximum error of the direction of flight, as an
-offset of the goal along each axis [m]."""
+"""Distances that determine the lines of flying boxes in the DRPBench levels `moving_goal_blocked`
+[m]: range of the distance from the goal at the start, distance from it at which a box reverses, and
+maximum distance, along each world axis, between it and the point toward which a box flies."""
 _BASE_RADIUS = 0.25
 """Radius of a vertical cylinder around the robot's base at which flying boxes reverse [m]."""
 _MIN_X = 0.1
@@ -303,8 +307,9 @@ def _draw_flying_boxes(
         random: source of random numbers.
         level: level of the benchmark DRPBench, with number, sizes and speeds of the boxes.
         motion: nominal motion.
-        at_goal: whether the lines pass within 1 cm of the goal along each axis, and boxes start
-            above it; else the lines pass within 20 cm of `_FLOATING_TARGET`.
+        at_goal: whether the lines pass within 1 cm of the goal along each world axis, and boxes
+            start above the goal; else the lines pass within 20 cm of `_FLOATING_TARGET` along each
+            world axis.
 
     Returns:
         The boxes, or none if one of them cannot be placed.

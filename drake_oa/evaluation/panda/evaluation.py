@@ -3,12 +3,13 @@
 Methods:
 
   nominal          the nominal motion, which ignores obstacles
-  paper            the method of Pairet et al., RA-L 2019, without motion guard. A regressor chain
-                   of three networks computes coupling parameters from the obstacle's section with
-                   the P-plane (plane of motion and obstacle). Cost rings (costs of the directions
-                   of passing) select the side. The chain is `paper_chain_running`, trained for
-                   this system's movement primitive; its strength alpha of the coupling term has the
-                   unit 1/T, with the demonstrated duration T
+  paper            the method of Pairet et al., RA-L 2019, without motion guard (the system that
+                   slows, brakes or evades during the motion). A regressor chain of three networks
+                   computes coupling parameters from the obstacle's section with the P-plane (plane
+                   of motion and obstacle). Cost rings (costs of the directions of passing) select
+                   the side. The chain is `paper_chain_running`, trained for this system's movement
+                   primitive; its strength alpha of the coupling term has the unit 1/T, with the
+                   demonstrated duration T
   verified         this project's method: whole-arm motions, verified by simulation among the
                    obstacles' collision geometry; if none is collision-free, a planned path that
                    the movement primitives imitate
@@ -26,7 +27,7 @@ logged instant (4 ms apart), until everything has been at rest for a second.
 
 Outcome of a run:
 
-  success   no contact, and the tool point ends within 5 mm of the goal
+  success   no contact, the tool point ends within 5 mm of the goal, and everything comes to rest
   contact   a contact with the scene or of the robot with itself
   stopped   any other end; the reason is that of the motion's termination in words, with "#" in
             place of numbers, or the exception that the run raised
@@ -105,8 +106,9 @@ _UNKNOWN_KEYS = (
     "contact_events",
     "claim_violations",
 )
-"""Keys of a run's result that are None if their value is unknown. `contact_events` and
-`claim_violations` are also None in scenes where no obstacle moves or appears."""
+"""Keys of a run's result that are None until the run computes them, hence if it did not start. The
+method `planner` computes at most both clearances, "duration" and "ended". "contact_events" and
+"claim_violations" are also None in scenes where no obstacle moves or appears."""
 
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
 """Regular expression of numbers in the reason for which a motion stopped; they are replaced by "#"
@@ -192,7 +194,7 @@ def run_and_evaluate(
     truth.
 
     Args:
-        scenario: scene, drawn with depth perception.
+        scenario: scenario of the scene; "depth2" and "truth" replace its perception.
         method: one of `METHODS`.
         perception: source of the obstacles: "depth" (camera of the scene), "depth2" (two cameras
             beside the robot) or "truth" (exact obstacles).
@@ -210,8 +212,8 @@ def run_and_evaluate(
         - beyond_limits: maximum excess of a joint over its position limit [rad].
         - decision_latencies: simulated compute latency of each selection of a motion [s].
         - wall_time, real_time_factor: wall time of the simulation [s], and simulated time over it.
-        - drp_outcome: outcome by the rules of the benchmark DRPBench; None if `criteria` does not
-          have them.
+        - drp_outcome: outcome by the rules of the benchmark DRPBench; None if
+          `criteria.has_drp_rules` is false.
         - contact_events: contacts, with closing speed, energy and avoidability, see
           `contacts.contact_events`; None if no obstacle moves or appears.
         - claim_violations: numbers of logged instants ("instants"), and of those that violate claim
@@ -327,8 +329,8 @@ def drp_outcome(scenario: Scenario, log: MotionLog, contacts: Sequence[str]) -> 
 
 
 def _without_motion(scenario: Scenario) -> dict[str, Any]:
-    """Returns the default result of a run, in which the robot stays at the start and has no
-    contact.
+    """Returns the result of a run before it starts: the robot is at the start, without contact. A
+    run replaces those values that it computes.
     """
     return {
         **dict.fromkeys(_UNKNOWN_KEYS),
@@ -356,8 +358,8 @@ class PandaSuite:
         duration: time limit of a run [s]; None: six times the demonstrated duration after the last
             move of the goal.
         stem: prefix of the names of result files.
-        drawings: number of a scene -> function call that returns the YAML text of its scenario; the
-            text depends on the call's positional arguments alone.
+        drawings: number of a scene -> `functools.partial` that, called without arguments, returns
+            the YAML text of the scenario; the text depends on its positional arguments alone.
         criteria: conditions of success.
 
     Raises:

@@ -86,11 +86,11 @@ _HARD_SPEEDS = (0.1, 0.8)
 """Range of the speeds, except during stops, of obstacles that change speed, turn, stop or reverse
 [m/s]."""
 _MEETING_PHASES = (0.25, 0.75)
-"""Range of the time at which an obstacle passes its target point near the robot, as a fraction of
-the nominal motion's duration [-]."""
+"""Range of the time at which an obstacle passes its target point (near a link, or random above the
+table), as a fraction of the nominal motion's duration [-]."""
 _APPROACH_TIMES = (0.5, 2.5)
-"""Range of the time between an obstacle's departure and its passage of its target point near the
-robot [s]."""
+"""Range of the time between an obstacle's departure and its passage of its target point (near a
+link, or random above the table) [s]. It is shorter where the departure would precede time 0."""
 _TARGET_JOINTS = range(4, 7)
 """Indices of the joints that move the links 5 to 7, near which moving obstacles have their target
 points."""

@@ -2,13 +2,13 @@
 solution.
 
 Resting obstacles (`run_planner`): OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000) plans in the
-joint space of the arm. It plans from the start configuration to the task's goal joints, or else to
-configurations with the tool at the goal pose. Between start and goal the tool's orientation is
-free, so that the planner may use every motion of the evaluated methods, and more. A valid state is
-within the joint limits, and the clearance of the moving links to every obstacle is at least the
-minimum clearance. In a valid state the robot touches neither the environment (table) nor itself
-(Drake's `SceneGraphCollisionChecker`). Requires the extra `baselines`: pip install
-'drake_oa[baselines]'.
+joint space of the arm. It plans from the start configuration to the goal configuration that the
+scenario's task specifies (`task.q_goal`), or else to configurations with the tool at the goal pose.
+Between start and goal the tool's orientation is free, so that the planner may use every motion of
+the evaluated methods, and more. A valid state is within the joint limits, and the clearance of the
+moving links to every obstacle is at least the minimum clearance. In a valid state the robot touches
+neither the environment (table) nor itself (Drake's `SceneGraphCollisionChecker`). Requires the
+extra `baselines`: pip install 'drake_oa[baselines]'.
 
 Moving obstacles with known trajectories (`find_motion`): a tree grows from the start at time 0;
 each node is a configuration at rest at a time. A random edge waits, and then moves to another
@@ -92,12 +92,13 @@ moving obstacles."""
 def goal_positions(scenario: Scenario, q_goal: FloatArray) -> list[FloatArray]:
     """Returns one or several goal configurations among which the planner may choose.
 
-    The task's goal joints are the only goal if the task has them. Otherwise further configurations
-    with the tool at the goal pose are computed by inverse kinematics.
+    If the scenario's task specifies a goal configuration (`task.q_goal`), it is the only goal.
+    Otherwise inverse kinematics computes further configurations with the tool at the goal pose.
 
     Args:
         scenario: scenario with a robot.
-        q_goal: (nq,) configuration at the goal, which is the first result [rad, m].
+        q_goal: (nq,) configuration of the robot at the goal, by `end_positions`; it is the first
+            one in the result [rad, m].
 
     Returns:
         Configurations (nq,) of the robot at the goal [rad, m].
@@ -127,15 +128,17 @@ def run_planner(
         states: maximum number of checked states among resting obstacles.
 
     Returns:
-        Dictionary with these keys; those from `contacts` on are missing without a plan, and for
-        moving obstacles only `goal_error` and `duration` of them exist:
+        Dictionary with these keys. Without a plan, the keys from `contacts` on are missing; with a
+        plan among moving obstacles, `goal_error` and `duration` are the only ones of them:
 
         - stop_reason: "goal", or the reason in words for the missing plan.
         - ended: `MotionEnd.GOAL`, or `MotionEnd.MISSED` without a plan.
         - wall_time: time of planning [s].
-        - states: number of checked configurations.
+        - states: number of checked configurations; among moving obstacles each path search to the
+          goal counts as 20,000 (`_PATH_STATES`).
         - contacts, self_contacts: names of the pairs of bodies in contact, by true geometry.
-        - tool_clearance_min, robot_clearance_min: minimum clearances to obstacles [m].
+        - tool_clearance_min, robot_clearance_min: minimum clearance of the tool and of the whole
+          robot to obstacles [m]; None: no obstacle.
         - goal_error: distance from the end of the path to the goal [m].
         - duration: duration of the motion, at half the maximum joint speed among resting obstacles
           [s].
@@ -289,7 +292,8 @@ def find_motion(
         seed: seed of the random motions.
 
     Returns:
-        The motion (None if none was found), and the number of checked configurations.
+        The motion (None if none was found), and the number of checked configurations, in which each
+        path search to the goal counts as 20,000 (`_PATH_STATES`).
     """
     random, chain, n_configurations = np.random.default_rng(seed), world.arm.chain, 0
     if not any(is_collision_free(world.arm, q) for q in goals):

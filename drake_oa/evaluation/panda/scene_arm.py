@@ -132,8 +132,9 @@ class SceneArm:
         Args:
             start: (3,) tool position at the start in the world [m].
             goal: (3,) tool position at the goal in the world [m].
-            aside: (n,) nominal posture in the middle of the motion, to which the null space is
-                attracted [rad]; None: the nominal posture is the start configuration throughout.
+            aside: (n,) posture to which the arm is attracted, in the null space of the tool pose,
+                in the middle of the motion [rad]. At its ends, or throughout if None, the arm is
+                attracted to the start configuration.
             rpy_WE: roll, pitch and yaw of the tool in the world [rad]; None: the tool points down.
 
         Returns:

@@ -80,8 +80,9 @@ _CAMERA_POSITION = [1.2473, 0.2902, 1.05]
 """Position in the world of the camera whose view must contain the centers of random obstacles [m].
 The condition applies even if another source perceives the obstacles."""
 _CAMERA_ROLL = {DEFAULT_SCENARIO: -135.0, ELBOW_SCENARIO: -120.0}
-"""Name of a shipped scenario -> roll angle of its camera in the world, in addition to a yaw of 110
-degrees [degrees]. The camera's view must contain the centers of random obstacles."""
+"""Name of a shipped scenario -> roll angle of its camera's frame (z forward, y down) in the world
+[degrees]; the pitch is 0 and the yaw 110 degrees. The camera's view must contain the centers of
+random obstacles."""
 
 Shape = Box | Cylinder | Sphere
 """Type of the primitive shapes that random obstacles consist of."""
@@ -121,9 +122,10 @@ def draw_shape(random: Generator, min_size: float, max_height: float, max_width:
     Args:
         random: source of random numbers.
         min_size: minimum of all dimensions [m].
-        max_height: maximum height of the shape, or diameter of a sphere or lying cylinder [m].
-        max_width: maximum horizontal dimensions of other shapes, and length of a lying cylinder
-            [m].
+        max_height: maximum height of a box or standing cylinder, and maximum diameter of a sphere
+            or lying cylinder [m].
+        max_width: maximum horizontal edge of a box, diameter of a standing cylinder, and length of
+            a lying cylinder [m].
     """
     x, y = random.uniform(min_size, max_width, 2)
     z, kind = random.uniform(min_size, max_height), random.integers(3)
@@ -168,8 +170,8 @@ def bounding_ball(obstacle: Obstacle) -> tuple[FloatArray, float]:
 
 
 def _rest_on(shape: Shape, x: float = 0.0, y: float = 0.0, ground: float = 0.0) -> Shape:
-    """Returns a copy of a shape that is moved to (x, y), with its lowest point at height `ground`
-    [m].
+    """Returns a copy of a shape that is moved to (x, y), with its lowest point at height `ground`,
+    in the obstacle's frame, whose origin is on the table [m].
     """
     return replace(shape, translation=[x, y, ground + extent(shape)[1]])
 

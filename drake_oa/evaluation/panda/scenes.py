@@ -2,7 +2,8 @@
 
 The nominal motion (without avoidance) is a straight tool motion of 0.5 to 1.0 m with the tool
 pointing down. The arm can follow it within its joint limits. At start and goal the whole robot,
-represented by spheres that enclose its links (`scene_arm`), has 5 cm clearance to every obstacle.
+represented by spheres that enclose its links (`scene_arm`), has 5 cm clearance to every obstacle
+that neither moves nor appears.
 The centers of the obstacles are in the view of a camera at the table, also if another source
 perceives them. The condition on the view does not apply to moving_hard, moving_high and drp_LEVEL.
 
@@ -11,8 +12,8 @@ kind of scenes hold. Scene i of a seed does not depend on perception or method. 
 
 `tabletop`: 1 to 6 objects on the table.
 
-- No two obstacles are within 2 cm of each other (horizontal circles around them), and none is at
-  the robot's base.
+- No two obstacles are within 2 cm of each other, and none is within 16 cm of the axis of the
+  robot's base (horizontal circles around the obstacles).
 - On the nominal motion some link of the robot penetrates an obstacle by at least 5 mm.
 
 `clutter6`: as `tabletop`, with exactly six objects, at least three of them within 25 cm of the hand
@@ -143,8 +144,8 @@ _WRIST_JOINTS = range(5, 7)
 """Indices of the joints that move the links 6 and 7, which follow the tool and must not collide in
 scenes of the kind `elbow`."""
 _HEIGHTS = (0.2, 0.9)
-"""Range of the heights of obstacles that block the path of the elbow in scenes of the kind `elbow`
-[m]."""
+"""Range of the height above the table, in scenes of the kind `elbow`, of the top of a post and of
+the center of a board or of a box on a stand [m]."""
 _MIN_FREE_DISTANCE = 0.06
 """Minimum distance between a place where an obstacle may block the elbow and all points that the
 robot occupies at start or goal, the wrist on the nominal motion, or the robot with the elbow moved
@@ -209,7 +210,9 @@ def _elbow_places(motion: Motion, swung: Motion) -> FloatArray:
 
     Returns:
         (N, 2, 3) points of the elbow on the nominal motion in the world [m], and unit vectors to
-        them from the nearest point that must remain free.
+        them from the nearest point that must remain free, which is more than 6 cm away. The points
+        are in front of the robot's base (x > 0), more than 20 cm from its axis, and higher than
+        20 cm.
     """
     arm, whole = scene_arm(), range(len(motion.q[0]))
     passed = arm.centers(motion.q[::2], _ELBOW_JOINTS)

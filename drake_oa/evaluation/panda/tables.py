@@ -33,7 +33,8 @@ _COLUMNS = (
     Column("tool_clearance_min", "min. tool clearance [m]", "{:.3f}"),
     Column("duration_median", "median duration [s]", "{:.1f}"),
 )
-"""Columns of the printed table, which has a row for each kind of scenes and method."""
+"""Columns of the printed table (key of the values, heading, number format), which has a row for
+each kind of scenes and method."""
 
 
 _LISTED_COUNTS = {
@@ -42,17 +43,21 @@ _LISTED_COUNTS = {
     "sources": "executed motion from",
 }
 """Key of a metric that counts scenes by stop reason, pair of bodies in contact, or source of the
-executed motion -> heading of the lines below the table that list these counts."""
+executed motion (nominal motion, regressor chain, search, or path in joint space) -> heading of the
+lines below the table that list these counts."""
 
 
 def panda_metrics(results: PandaResults, workers: int | str = 1) -> dict[str, Any]:
     """Returns the metrics of a suite (a set of scenes and methods) as JSON data.
 
-    Keys: "suite", "seed", "kind", "perception", "duration", "jobs" (number of processes),
-    "versions" (of libraries), "scenes_digest" (SHA-256 of the scenes' seeds, tasks and obstacles,
-    independent of the perception), "solved" (number of scenes that the planner or another method
-    solves; None without the planner) and "methods" (method -> its metrics, see `methods_metrics`).
-    Each method also has "perception" and "runs", the results scene by scene.
+    Keys: "suite" (name of the evaluation), "seed" and "kind" (of the scenes, for example
+    "tabletop"), "perception" (source of the obstacles: "depth", one camera; "depth2", two cameras;
+    or "truth", exact obstacles), "duration" (time limit of a run [s], or None), "jobs" (number of
+    processes), "versions" (of libraries), "scenes_digest" (SHA-256 of the scenes' seeds, tasks and
+    obstacles, independent of the perception), "solved" (number of scenes in which at least one
+    method succeeds; None if `planner` is not among the methods) and "methods" (method -> its
+    metrics, see `methods_metrics`). Each method also has "perception", the source with which it was
+    run, and "runs", the results scene by scene.
 
     Args:
         results: results of all runs of the suite.
@@ -83,9 +88,10 @@ def panda_metrics(results: PandaResults, workers: int | str = 1) -> dict[str, An
 def methods_metrics(runs: Mapping[str, Mapping[Any, Mapping[str, Any]]]) -> dict[str, Any]:
     """Returns the metrics of several methods on the same scenes.
 
-    Keys: "solved", the number of scenes in which the planner or another method succeeds (None
-    without the planner), and "methods", method -> result of `run_metrics`. Each method also has
-    `success_rate_solved`, its number of successes divided by "solved".
+    Keys: "solved", the number of scenes in which at least one method succeeds (None if the baseline
+    `planner` is not among the methods), and "methods", method -> result of `run_metrics`. Each
+    method also has "success_rate_solved", its number of successes divided by "solved" (None if
+    "solved" is None or 0).
 
     Args:
         runs: method -> scene -> result of `run_and_evaluate`.
@@ -132,12 +138,14 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     - shortfall_count: runs in which the tool's clearance to resting obstacles was more than 1 mm
       below the achievable clearance, the requested one or that at start or goal if less.
     - stop_reasons, contact_pairs, sources: dictionaries from stop reason, pair of bodies in
-      contact, or source of motions that the method `verified` executed, to number of scenes.
+      contact, or source of a motion that the method `verified` executed ("nominal", "chain",
+      "search" or "joint_path"), to number of scenes.
     - drp_contacts, drp_success: outcomes by the rules of the benchmark DRPBench, only in scenes of
       its levels.
 
     Numbers of contacts: `avoidable_by_physics`, which a joint motion from 0.2 s before avoids, and
-    `avoidable_by_view`, which one avoids after the obstacle's velocity was observed in time.
+    `avoidable_by_view`, which one from 0.05 to 0.5 s before avoids, if the obstacle's velocity was
+    observed 0.1 to 0.3 s before the latest start of such a motion.
 
     Numbers of logged instants, None without moving obstacles: `claim_A` and `claim_B`, violations
     of passive motion safety. Its claims are that the arm rests or recedes before a moving obstacle
@@ -145,8 +153,9 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
     Statistics: `success_rate`; `duration_median` of the motions [s]; `decision_latency`, the median
     ("median"), 99th percentile ("p99") and maximum ("max") of the simulated compute latencies of
-    all decisions [s], with their number ("count"), None without a latency; `tool_clearance_min`,
-    `robot_clearance_min` [m]; `goal_error_max` of the scenes that were not stopped [m];
+    all decisions [s], with their number ("count"), None without a latency; `tool_clearance_min` and
+    `robot_clearance_min`, the minimum over all scenes of the clearance of the tool and of the whole
+    robot to obstacles [m]; `goal_error_max` of the scenes that were not stopped [m];
     `real_time_factor`, the median.
 
     Args:

@@ -143,7 +143,8 @@ def clear_steps(world: TrueWorld, motions: FloatArray, first: IntArray) -> IntAr
             sample everything is at rest.
 
     Returns:
-        (N,) number of valid configurations from the beginning; M if all are valid.
+        (N,) number of configurations before the first one that is outside the joint limits or has
+        less than a required clearance; M if there is none.
     """
     N, M, n = motions.shape
     arm, fixed, last = world.arm, world.arm.geometries, len(world.ball) - 1
