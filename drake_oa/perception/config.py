@@ -135,7 +135,7 @@ class RecordedBag(CameraSource):
     """Depth camera whose images are in a bag of ROS 2 (rosbag2): an MCAP or sqlite3 file.
 
     Size and intrinsics are those of the bag. Frame rate, delay and range are those of the camera
-    in the scenario's field `cameras`, which must be fixed.
+    in the scenario's field `cameras`. The pose of that camera in the world must be constant.
     """
 
     path: str = Field(min_length=1)

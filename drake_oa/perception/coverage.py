@@ -29,7 +29,8 @@ def unobserved_fraction(points: Sequence[FloatArray], observed: Sequence[FreeSpa
     Args:
         points: for each of T configurations of the arm, points (N, 3) in the world that sample the
             space near the arm [m]; `points_near` computes them.
-        observed: for each of these configurations, the space that the cameras observe to be free.
+        observed: for each of these configurations a `FreeSpace`: the space that the cameras observe
+            to be free while the arm is in this configuration.
 
     Returns:
         Mean fraction over the configurations, in [0, 1]: 1 without a camera, 0 without a point.

@@ -91,7 +91,8 @@ def log_change(system: LeafSystem, previous: str, note: str, time: float) -> Non
 _NO_NEW_IMAGE = "no new image"
 """Note (reason why an observation is degraded) of a frame in which a camera has no new image."""
 _UPDATE_DELAY = 1e-4
-"""Delay by which perception processes images after their arrival from a delayed camera [s]."""
+"""Time from the arrival of an image, from a camera whose images arrive with a delay, to its
+processing by perception [s]."""
 _SAME_TIME = 1e-6
 """Maximum difference between the stamps of images that count as taken at one instant [s]."""
 
@@ -101,8 +102,8 @@ class FreeSpace(Frozen):
     """Space observed to be free: between the cameras and the surfaces in images of one instant.
 
     Attributes:
-        views: image of each camera, in the order of the cameras; None for a camera without a
-            usable image of that instant.
+        views: depth image of each camera, in the order of the cameras; None for a camera whose
+            image of that instant is missing or was rejected by the segmentation.
         stamp: time of the images [s].
         ranges: minimum and maximum depth that each camera measures [m]; empty: not limited.
     """
@@ -153,7 +154,8 @@ class DepthPerception(LeafSystem):
     Note: with several cameras the stamp of `obstacles_W` is that of the oldest camera, not that of
     the newest image. The oldest camera is the one without a usable image for the longest time; the
     stamp is that of its last usable image. Since then, obstacles may have entered its part of the
-    scene unobserved.
+    scene unobserved. An image is usable if at least 5 % of its pixels have depth (inf included).
+    If a table is expected, one must also be found in this or another image of the same frame.
 
     .. pydrake_system::
 
@@ -192,20 +194,20 @@ class DepthPerception(LeafSystem):
     in the world frame [m], including the robot's; for visualization.
 
     Port `free_space_W`: abstract `FreeSpace`, the space between the cameras and the surfaces in
-    their last usable images.
+    the usable images of the last frame that had one.
 
     The inputs are evaluated at initialization and then every `period`, since each evaluation makes
     a simulated camera render. The outputs are constant between these updates. An obstacle keeps its
     track ID, and the points that the arm occludes. The cloud of an obstacle at rest remains bitwise
     equal until a larger or smaller extent is observed. `drake_oa.perception.tracking.update_tracks`
-    describes tracking, repeated frames, and stamps that decrease. A frame in which an expected
-    table is not found leaves the obstacles and their stamp unchanged and states the reason in
-    `note`. A receiver computes the age of the obstacles from the stamp.
+    describes the tracking. A frame without a usable image leaves the obstacles and their stamp
+    unchanged and states the reason in `note`. A receiver computes the age of the obstacles from the
+    stamp.
 
     Images whose stamps differ by at most `sync_tolerance` form one frame with the time of the
     newest image. The self filter removes the robot at its configuration of each image. A camera
-    without an image of that instant, or with an unusable one, is left out of the frame and named in
-    `note`; the other cameras still update the obstacles.
+    without an image of that instant, or with one that is not usable, is left out of the frame and
+    named in `note`; the other cameras still update the obstacles.
     """
 
     def __init__(
@@ -234,11 +236,11 @@ class DepthPerception(LeafSystem):
                 convention of CameraInfo. RenderEngineVtk of Drake 1.51 renders with 0.5; without
                 this correction the scene is rotated by half a pixel.
             period: time between frames [s].
-            delay: time from the begin of a period to the arrival of its images [s].
+            delay: time from the start of a period to the arrival of its images [s].
             sync_tolerance: maximum difference of the stamps of images that form one frame [s].
             missing_image_timeout: age of the last image of a camera above which the field `note` of
                 `obstacles_W` reports a missing image [s]; 0: at any age. An unsynchronized camera
-                occasionally has none in a period.
+                occasionally has no new image in a period.
             depth_ranges: minimum and maximum depth that each camera measures [m], for the output
                 `free_space_W`; empty: no limits.
 
@@ -376,8 +378,8 @@ class DepthPerception(LeafSystem):
             context: Context of the system.
 
         Returns:
-            Collision geometry in the world, one copy per different state; None without a self
-            filter.
+            Collision geometry in the world: if the images were taken at different states of the
+            robot, the robot's geometry once for each state. None without a self filter.
         """
         if self._robot is None:
             return None
@@ -391,7 +393,7 @@ def first_update(period: float, delay: float) -> float:
 
     Args:
         period: time between frames [s].
-        delay: time from the begin of a period to the arrival of its images [s].
+        delay: time from the start of a period to the arrival of its images [s].
     """
     return period + delay + _UPDATE_DELAY if delay else period
 
@@ -399,9 +401,12 @@ def first_update(period: float, delay: float) -> float:
 def select_synchronized(stamps: FloatArray, last_stamps: FloatArray, tolerance: float) -> BoolArray:
     """Selects the cameras whose new images form one frame, together with the newest image.
 
+    An image is new if its stamp is later than the camera's stamp in `last_stamps`.
+
     Args:
-        stamps: (n,) stamps of the cameras' images [s].
-        last_stamps: (n,) stamps of the last usable image of each camera [s].
+        stamps: (n,) stamps of the cameras' present images [s].
+        last_stamps: (n,) stamps of the last image of each camera that the segmentation did not
+            reject [s]; -inf: none.
         tolerance: maximum difference of the stamps of one frame [s].
 
     Returns:

@@ -62,7 +62,8 @@ OCCLUSION_GAP = 0.06
 """Maximum width of an occluded gap across which two clusters are merged into one obstacle [m]."""
 _BRIDGES = 16
 """Maximum number of shortest connections between points of two clusters that are tested for
-occlusion, before the clusters are merged."""
+occlusion. The clusters are merged if at most half of these connections are open: some image has a
+larger depth at a place of the connection, in a pixel of neither cluster."""
 _BRIDGE_PLACES = np.linspace(0.0, 1.0, 7)[1:-1, None, None]
 """Places (5, 1, 1) along a connection between points of two clusters that are tested for occlusion,
 as fractions of the connection's length [-]."""
@@ -95,20 +96,23 @@ class Segmentation:
     Attributes:
         clouds_W: for each obstacle an (N_i, 3) array of the mean points of its voxels in the world
             frame [m], largest obstacle first.
-        labels: for each usable image, or for the cloud, an array (N,) with the obstacle of each
+        labels: for each image in `views`, or for the cloud, an array (N,) with the obstacle of each
             pixel (row-major) or point, as index into `clouds_W`; -1: none.
         table: support plane in the world frame; None: not expected or not found.
         points_W: (N, 3) all points above the table, without a table all points, in the world frame
             [m]; including the robot's, for visualization.
-        plane_rms: root mean square distance of the plane's samples from the plane [m]; NaN without
-            plane.
+        plane_rms: root mean square distance from the support plane of the sampled points that lie
+            on it [m]; NaN without plane.
         X_WC: (4, 4) pose of the first camera in the world. If no pose was given, the pose for which
             the table is the plane z = 0 (see `segment_depth`).
-        usable: whether an image has depth, and a table was found or is not expected; False: the
-            frame contains no information about obstacles.
+        usable: whether an image or the cloud has depth in at least 5 % of its pixels or points, and
+            a table was found or is not expected; False: the frame contains no information about
+            obstacles.
         note: empty, or the reason why the frame is not usable.
-        views: usable images; empty for a cloud.
-        unusable_views: mapping from the index of each image that is not usable to the reason.
+        views: images from which the obstacles are segmented: those with depth in at least 5 % of
+            their pixels, if `usable`; empty for a cloud.
+        unusable_views: mapping from the index of each other image to the reason, which is missing
+            depth or a missing table.
     """
 
     clouds_W: tuple[FloatArray, ...] = ()
@@ -124,8 +128,8 @@ class Segmentation:
 
     @property
     def pixels(self) -> tuple[IntArray, ...]:
-        """Flat indices of each obstacle's pixels, or points of a cloud, counted consecutively over
-        all usable images.
+        """Pixels of each obstacle, or its points in a cloud: for each obstacle an array of flat
+        indices, which are counted consecutively over all images in `views`.
         """
         label = np.concatenate([np.zeros(0), *self.labels])
         return tuple(np.flatnonzero(label == row) for row in range(len(self.clouds_W)))
@@ -146,10 +150,10 @@ class _Frame(NamedTuple):
         table: support plane in the world; None: not found.
         extent_W: (E, 3) points in the world whose convex hull is the extent of the table in this
             image [m].
-        samples: number of samples on the table.
+        samples: number of sampled points that lie on the table.
         rms: root mean square distance of these samples from the table [m].
-        note: empty, or the reason why this image or cloud is not usable by itself; an image without
-            a table is usable with the table of another image.
+        note: empty, or the reason why this image or cloud cannot be segmented by itself: hardly any
+            depth, or no table. An image without a table is segmented with the table of another one.
     """
 
     ray: NDArray[np.float32]
@@ -396,7 +400,8 @@ def _points_above(
     since its depth has `DEPTH_NOISE` z^2 and |n . r| = |offset| / z.
 
     Args:
-        frame: image or cloud with its own plane, which is used if it differs little from the table.
+        frame: image or cloud with its own plane, which is used instead of the table if its height
+            differs by at most 5 cm (`HEIGHT_TOLERANCE`) within 1 m of the world origin.
         table: largest table of all images; None: no table.
         config: `max_height` is used.
 

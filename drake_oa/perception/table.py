@@ -74,8 +74,8 @@ _BORDER = 2
 """Width of the image border at which a table is assumed to continue beyond the image, in rows or
 columns of the sampling grid."""
 _ANGLES = np.arange(48) * (2.0 * np.pi / 48)
-"""Directions (48,) in the table's plane of the half-planes that bound the extent of the table
-[rad]."""
+"""Angles (48,) in the table's plane, from the first of its two axes (`plane_axes`), of the outer
+normals of the half-planes that bound the extent of the table [rad]."""
 _OUTWARD = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 """Outer normals (48, 2) of the half-planes that bound the extent of a table, in two axes of the
 table's plane."""
@@ -136,8 +136,8 @@ def find_table(
 
     Args:
         points: (N, 3) points in the frame of the camera [m].
-        distance: (N,) depth of each point along the optical axis, or its distance from the camera
-            [m].
+        distance: (N,) depth of each point of an image along the optical axis, or distance of each
+            point of a cloud from the camera, from which the noise of the point is computed [m].
         X_WC: (4, 4) pose of the camera in the world. None: unknown; then the normal of the table
             must be within 50 degrees of the vertical of a camera pitched down by 45 degrees.
         table_height: height of the table in the world [m]; None: unknown.

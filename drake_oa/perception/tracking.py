@@ -103,8 +103,8 @@ _GATE = 0.1
 """Gate of the data association: maximum distance between the centroids of a track and a cluster
 without enough common points [m]."""
 _IMMEDIATE_CONFIRMATION_FACTOR = 2.0
-"""Minimum size of a new cluster whose points are confirmed and output at once, relative to
-`min_cluster_voxels` [-]."""
+"""Minimum number of voxels of a new cluster whose points are confirmed and output at once, relative
+to `min_cluster_voxels` [-]."""
 _MEAN_FRAMES = 20
 """Maximum number of frames over which the position of a remembered point of a track is averaged."""
 _OCCLUDED_SHARE = 0.3
@@ -114,8 +114,9 @@ _SIDE_SLACK = 0.004
 """Distance from an obstacle's side (end along an axis) above which a remembered point counts as
 beyond it, in the test for occluded sides [m]."""
 _MIN_VISIBLE_SHARE = 0.2
-"""Minimum denominator of the motion evidence of a track (points not observed again over visible
-points), relative to all its remembered points [-]."""
+"""Minimum divisor in the motion evidence of a track (number of visible points that are not observed
+again, over the number of visible points), as a fraction of the number of all its remembered points
+[-]. It prevents high evidence from few visible points."""
 _EVIDENCE_DECAY = 0.9
 """Factor per frame by which the motion evidence of a track (fraction of its visible points that are
 not observed again) decays [-]."""
@@ -159,8 +160,9 @@ class Points(Frozen):
         evidence: (N,) number of supporting frames less contradicting ones, from 1 to
             `_MAX_EVIDENCE`.
         weight: (N,) number of frames in the running mean of the position.
-        confirmed: (N,) whether the point is confirmed, and thereby output: enough frames have
-            supported it, or it was in the first frame or a large new cluster.
+        confirmed: (N,) whether the point is confirmed, and thereby output: its evidence has reached
+            2 (`_CONFIRMED`), or 3 for a resting track that was output before; or the point was in
+            the first frame or in a large new cluster.
     """
 
     p_OQ: FloatArray = zeros(0, 3)
@@ -199,7 +201,8 @@ class TrackerState(Frozen):
         references: surface of each obstacle in an earlier frame, by track ID; for measuring
             velocities.
         frame_stamp: time of the last frame [s].
-        last_image_stamps: (n,) time of the last usable image of each of n cameras [s].
+        last_image_stamps: (n,) time of the last image of each of n cameras that the segmentation
+            did not reject [s].
         cloud_W: (K, 3) points of the last frame in the world, for visualization [m].
     """
 
@@ -246,8 +249,9 @@ class Association:
             tracks, that of the track with the most common points.
         is_shared: (C,) whether a cluster belongs to several tracks.
         new_clusters: indices of the clusters that start new tracks, in the order of the new rows.
-        partner: (M,) for each track that shares a cluster with a larger one, the row of the largest
-            track in that cluster; -1: none.
+        partner: (M,) for each track that shares a cluster, the row of that track in the cluster
+            which has the most remembered points; -1: it is the track itself, or the track shares no
+            cluster.
     """
 
     point_row: IntArray
@@ -280,8 +284,8 @@ def associate(
         points: (Q, 3) points of the frame in the world [m].
         cluster: (Q,) index of the cluster of each point.
         clusters: C, number of clusters.
-        votes_for: (Q,) index of the remembered point nearest to each point, the common point of
-            both; -1: none within `_MATCH_RADIUS`.
+        votes_for: (Q,) index of the remembered point nearest to each point, which thereby counts as
+            a common point of its cluster and that track; -1: none within `_MATCH_RADIUS`.
         track_points: (N, 3) predicted remembered points in the world [m].
         owner: (N,) row of the track of each remembered point.
         tracks: M, number of tracks.
@@ -355,8 +359,9 @@ def update_tracks(
         stamp: time of the frame [s].
         config: parameters of the segmentation; None: defaults.
         robot: collision geometry of the robot in the world at that time; None: not considered.
-        complete: whether all cameras have a usable image. Otherwise points behind a visible part of
-            their own obstacle remain, since a missing camera may have observed them.
+        complete: whether the frame contains an image of each camera. Otherwise points behind a
+            visible part of their own obstacle remain, since a missing camera may have observed
+            them.
 
     Returns:
         State after the frame; its `obstacles` are the output.
@@ -728,7 +733,7 @@ class _FrameUpdate:
         self.tracks = replace(tracks, sides=sides, merged_time=merged_time)
 
     def _delete_tracks(self) -> None:
-        """Deletes tracks that have too few remembered points left."""
+        """Deletes tracks with fewer remembered points than `_min_points`."""
         count = np.bincount(self.points.owner, minlength=len(self.tracks))
         remains = count >= self._min_points()
         row = np.cumsum(remains) - 1
@@ -737,14 +742,14 @@ class _FrameUpdate:
         self.tracks = select_rows(self.tracks, remains)
 
     def _min_points(self) -> int:
-        """Returns the minimum number of remembered points for a track to persist, and of confirmed
-        remembered points for its output.
+        """Returns the minimum number of remembered points for a track to persist, which is also the
+        minimum number of confirmed points for its output.
         """
         return max(4, self.config.min_cluster_voxels // 2)
 
     def _output(self) -> TrackerState:
-        """Returns the state of the tracker after the frame, whose output contains the tracks with
-        enough confirmed points.
+        """Returns the state of the tracker after the frame; its output contains the tracks with at
+        least `_min_points` confirmed points.
         """
         tracks, points = self.tracks, self.points
         confirmed = np.bincount(points.owner[points.confirmed], minlength=len(tracks))
@@ -790,8 +795,10 @@ def select_output_clouds(
     Args:
         ids: (M,) track IDs.
         shift_W: (M, 3) translation from the frame O of each track's points to the world [m].
-        points: remembered points; only confirmed ones are output.
-        is_output: (M,) whether each track is output.
+        points: remembered points of the M tracks in their frames O; only confirmed points are
+            output: those of several frames, of the first frame or of a large new cluster.
+        is_output: (M,) whether each track has enough confirmed points (`_FrameUpdate._min_points`)
+            to be output.
         previous: output clouds of the previous frame, by track ID.
 
     Returns:

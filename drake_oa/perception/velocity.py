@@ -10,8 +10,8 @@ Acceleration is white noise of spectral density q, so that a step dt adds the co
 ch. 6: continuous white noise acceleration). The axes are independent.
 
 Position is measured by the sides of an obstacle (`find_sides`): along each axis the two places
-beyond which a small fixed area of its surface lies. The centroid of the visible points shifts when
-the arm occludes a part. A side does not, as long as the image contains free space beyond it.
+beyond which 2 % of its largest visible area lie. The centroid of the visible points shifts when the
+arm occludes a part. A side does not, as long as the image contains free space beyond it.
 
 Velocity is measured by the displacement of the surface since an earlier frame: `register_surface`
 aligns the points of both frames (`measure_velocities`).
@@ -59,7 +59,8 @@ _STOP_STATISTIC = 7.8
 """Speed statistic v^T P_v^-1 v of a velocity v with covariance P_v: below this value an obstacle
 seems to rest, above it motion is likely [-]."""
 _STOP_TIME = 0.1
-"""Duration of uninterrupted evidence of rest after which a moving track counts as resting [s]."""
+"""Duration of uninterrupted evidence of rest (speed statistic below `_STOP_STATISTIC`, or speed
+below `_REST_SPEED`) after which a moving track counts as resting [s]."""
 _OUTLIER = 5.0
 """Gate: maximum difference between measured and predicted position or velocity of a track, in
 standard deviations of this difference [-]. A position beyond the gate is an outlier; a velocity
@@ -80,11 +81,13 @@ UNMEASURED_TIME = 0.2
 axis is set to zero [s]."""
 _SIGNIFICANT_SCORE = 3
 """Increase of a track's motion score by a frame with a significant velocity (speed statistic above
-`START_STATISTIC`). A frame with a likely velocity (above `_STOP_STATISTIC`, with strong motion
-evidence) adds 1. A resting track starts to move at the score `_MOVING_SCORE`."""
+`START_STATISTIC`). A frame with a likely velocity (above `_STOP_STATISTIC`, with motion evidence
+above `_STRONG_EVIDENCE`) adds 1. A resting track starts to move at the score `_MOVING_SCORE`."""
 _MOVING_SCORE = 2 * _SIGNIFICANT_SCORE
 """Motion score at which a resting track starts to move: the sum, over consecutive frames, of
-`_SIGNIFICANT_SCORE` for a significant velocity and 1 for a likely one."""
+`_SIGNIFICANT_SCORE` for a significant velocity (speed statistic above `START_STATISTIC`) and 1 for
+a likely one (above `_STOP_STATISTIC`, with motion evidence above `_STRONG_EVIDENCE`). One frame
+with a measured velocity and a statistic above `_CERTAIN_STATISTIC` suffices."""
 _REST_RADIUS = 0.004
 """Displacement from its resting position beyond which an obstacle can start to move [m]."""
 _MIN_EVIDENCE = 0.04
@@ -118,16 +121,19 @@ class Tracks(Frozen):
         is_moving: (M,) whether the obstacle moves.
         motion_evidence: (M,) fraction of the visible remembered points without an observed point
             near them, in [0, 1]: the slowly decaying maximum over the last frames.
-        motion_score: (M,) sum of the scores of consecutive frames with a significant velocity (each
-            `_SIGNIFICANT_SCORE`, or `_MOVING_SCORE` if certain) or a likely one (each 1). From
-            `_MOVING_SCORE` on, a resting obstacle moves.
-        rest_time: (M,) duration of the present evidence of rest [s].
+        motion_score: (M,) sum of the scores of consecutive frames by their speed statistic:
+            `_SIGNIFICANT_SCORE` above `START_STATISTIC`, `_MOVING_SCORE` above
+            `_CERTAIN_STATISTIC`, and 1 above `_STOP_STATISTIC` with motion evidence above
+            `_STRONG_EVIDENCE`; `_decide_motion` has all conditions. From `_MOVING_SCORE` on, a
+            resting obstacle moves.
+        rest_time: (M,) time since which the speed statistic has been below `_STOP_STATISTIC`, or
+            the speed below `_REST_SPEED`, without interruption [s].
         unmeasured_time: (M, 3) time since the last measurement along each world axis [s].
         is_outlier: (M, 3) whether the last position measured along each axis was an outlier, more
             than `_OUTLIER` standard deviations from its prediction.
         split_frames: (M,) number of consecutive frames with the obstacle in separate parts.
-        merged_time: (M,) time since the track shares one cluster with a larger track, both with
-            similar velocities [s].
+        merged_time: (M,) time for which the track has shared one cluster with a track of more
+            remembered points, with velocities that differ by less than 0.1 m/s [s].
     """
 
     ids: IntArray = zeros(0, kind=np.int64)
@@ -329,7 +335,7 @@ def _decide_motion(
     START_STATISTIC, |v| > _START_SPEED, and the frame is certain, the track moves, or it is suspect
     with d > _REST_RADIUS.
 
-        measured frame                                                      motion score
+        frame with a measurement of the track                               motion score
         significant                                                         + _SIGNIFICANT_SCORE
         significant and certain                                             + _MOVING_SCORE
         S > _STOP_STATISTIC, D > _STRONG_EVIDENCE, |v| > _START_SPEED       + 1
@@ -652,14 +658,14 @@ def count_open_sides(
         pixel                                                        the obstacle
         of the obstacle, behind the line                             ends at the side
         of anything else, over 3 cm behind the point                 ends at the side
-        12 pixels without depth in a row                             ends at the side
+        the 12th consecutive pixel without depth                     ends at the side
         of anything else, over 3 cm before the point                 may continue
         of anything else, over 3 cm above the table                  may continue
         outside the image                                            may continue
         none of 23 pixels decides                                    may continue
 
-    Beside a side that is nearly along the line of sight no pixel is informative; there, the
-    obstacle is assumed to end.
+    If the angle between the world axis and the line of sight to the point has a sine below 0.3
+    (`_MIN_SINE`), no pixel beside the obstacle is informative; it is assumed to end at the side.
 
     Args:
         points: (S, 3) points of the obstacles' visible surfaces in the world [m].
@@ -739,8 +745,8 @@ axis) of an obstacle [-]."""
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """Sides of M tracked obstacles in one frame: places along the world axes beyond which a small
-    fixed area of the obstacle lies.
+    """Sides of M tracked obstacles in one frame: places along the world axes beyond which 2 %
+    (`_SIDE_TAIL`) of the obstacle's largest visible area, in this or earlier frames, lie.
 
     Attributes:
         place: (M, 3, 2) world coordinates of the lowest and highest side along each axis [m]; NaN
