@@ -83,8 +83,9 @@ def _box_volume(points: FloatArray) -> float:
 
 
 Method = Literal["enclosing", "least_squares"]
-"""Name of a method by which `describe` computes the ellipsoid of a dilated cloud: the enclosing
-ellipsoid of minimum volume, or the least-squares superquadric fit of Pairet et al., RA-L 2019."""
+"""Name of a method by which `describe` computes the ellipsoid of a dilated cloud: "enclosing", the
+ellipsoid of minimum volume that contains it, or "least_squares", the superquadric fit (11) of
+Pairet et al., RA-L 2019."""
 
 _ROOM = 0.02
 """Distance of a point that is known to be free, such as start or goal, from an ellipsoid, below
@@ -110,7 +111,8 @@ def describe(
     note of the result names the obstacle. The velocities are those of the clouds.
 
     Args:
-        obstacles: M clouds in the world frame [m] with IDs, velocities, stamp, table and note.
+        obstacles: M clouds in the world frame [m] with IDs, velocities, stamp, support plane
+            (`table`) and `note`, the reason why the observation is degraded.
         tool_W: (K, 3) vertices of the tool's convex hull relative to the tool point E, in world
             orientation [m].
         method: "enclosing": the ellipsoid of minimum volume (`ellipsoid.enclosing_ellipsoid`).

@@ -32,11 +32,11 @@ class EllipsoidDescriptor(LeafSystem):
       [m]; may be empty.
     - goal (optional): (3,) goal of the motion in the world frame [m], a position of the tool point
       that is known to be free. Not connected: only the constructor's `free_W` is known to be free.
-    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, IDs, velocities,
-      table and note of the clouds. An obstacle without finite points is omitted, and the note names
-      the obstacle. If an enclosing ellipsoid would contain a position that is known to be free, or
-      come within 2 cm of one, the obstacle is divided into parts and has several rows, if that
-      increases the distance.
+    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, IDs, velocities and
+      support plane (`table`) of the clouds, and their `note`, the reason why the observation is
+      degraded. An obstacle without finite points is omitted, and the note names the obstacle. If an
+      enclosing ellipsoid would contain a position that is known to be free, or come within 2 cm of
+      one, the obstacle is divided into parts and has several rows, if that increases the distance.
 
     The system has no state. The output is cached until an input changes. The computation is
     described in `drake_oa.descriptor.descriptor.describe`.
