@@ -8,8 +8,9 @@ In:  collision_scene_W `CollisionScene`, all collision geometry but the robot, i
 Out: coupling_parameters and route of the selected motion; demonstration `Demonstration`, which the
      motion imitates after a restart from rest; motion `PlannedMotion` of the tool and of the arm's
      joints (T, n) [rad]; shortfall of the minimum clearance, and clearance_reduction, by which
-     start or goal reduce the requested clearance [m]; start and latency of the decision [s]; source
-     of the motion (kind of candidate), and numbers of candidates of each kind.
+     start or goal reduce the requested clearance [m]; decision, the start time and the compute
+     latency of the last decision [s]; source of the motion (kind of candidate), and numbers of
+     candidates of each kind; sides `Route`, the costs of the passing sides, for a viewer.
 
 Systems
     GroundTruthScene  collision scene (collision geometry without the robot) of the simulator
@@ -26,9 +27,11 @@ Method
     converts them to joint motions, along which the distances of all spheres are computed.
     Candidates are the nominal (demonstrated) motion, a motion with the coupling terms (turning
     rates) of the regressor chain of Pairet et al., RA-L 2019, and motions of an evolution strategy.
-    If none is feasible, the movement primitives imitate a joint-space path (RRT-Connect, J. J.
-    Kuffner and S. M. LaValle, ICRA 2000), which is rolled out like the others. If every candidate
-    is predicted to be in contact, the motion is held, and a note gives the reason.
+    If none is feasible (achieves the required clearance, reaches the goal, and can be followed by
+    the arm), and the arm is at rest, the movement primitives imitate a joint-space path
+    (RRT-Connect, J. J. Kuffner and S. M. LaValle, ICRA 2000), which is rolled out like the others.
+    If the selected candidate is predicted to be in contact or to miss the goal, or if the arm
+    cannot follow it, the motion is held, and a note gives the reason.
 
 Modules, in the order of the data flow: `ground_truth_scene` and `perceived_scene` (collision
 scene); `collision_model` (distances minus required clearances of a configuration); `search`

@@ -138,8 +138,8 @@ def geometry_gap(
 
     The result is min(d - clearance, upper_bound), with the distance d from the group, the spheres
     that cover one body, to the geometry. Bounding spheres of the group and of its clusters (sets of
-    neighboring spheres) exclude spheres that cannot lower the result. The caller compares
-    `group_bound`, a lower bound of d, first, because this call takes more time.
+    neighboring spheres) exclude spheres that cannot lower the result. This function is called only
+    if the faster `group_bound`, a lower bound of d, is below clearance + upper_bound.
 
     Args:
         X: (n + 2, 12) poses of the world, the joint frames and the tool in the world frame; a row
@@ -429,7 +429,7 @@ def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
 
     Covering spheres represent the bodies. The overlap of two bodies' spheres at which their exact
     shapes are still apart (`spheres.allowance`) is added to their distance. The result is at most
-    0.3 m (`FAR`), and the most negative distance if bodies overlap.
+    0.3 m (`FAR`), and negative if bodies overlap.
 
     Args:
         chain: kinematic chain of the arm.

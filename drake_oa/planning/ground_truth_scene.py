@@ -61,13 +61,13 @@ class GroundTruthScene(LeafSystem):
             plant: finalized plant with the bodies.
             inspector: inspector of the plant's scene graph.
             bodies: indices of the bodies; bodies without collision geometry have no effect.
-            names: track ID of the obstacle to which each body belongs. Bodies without an entry
-                belong to the environment (a table, for example), which is no obstacle.
+            names: track ID of the obstacle to which a body belongs, by the index of the body. A
+                body without an entry belongs to the environment (a table, for example).
             period: time between updates [s].
 
         Raises:
             ValueError: for an unsupported shape, named in the message, or a period that is not
-                positive.
+                positive and finite.
         """
         super().__init__()
         self._bodies = []

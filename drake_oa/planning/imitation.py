@@ -36,8 +36,9 @@ SPEED_FRACTION = 0.5
 _FILTER_WIDTHS = (0.04, 0.02, 0.01)
 """Standard deviations of Gaussian filters that round the corners of a joint-space path [-].
 
-They are fractions of the path's length. They are tried in this order, until one of them
-preserves the clearance of the path."""
+They are fractions of the path's length. They are tried in this order, until the rounded path has
+the required clearances, or a clearance margin (distance minus required clearance) no smaller than
+that of the given path."""
 _N_BASIS = 100
 """Number of basis functions of the movement primitives that imitate a joint-space path.
 
@@ -69,8 +70,8 @@ def demonstration(
         normalized time.
 
     Raises:
-        ValueError: if the tool turns too far for an orientation primitive, or start and end of
-            its path coincide.
+        ValueError: if the tool turns by more than 300 degrees from its orientation at the middle of
+            the path, or start and end of its path coincide.
     """
     q = _smooth(world, _resample(corners))
     s = np.linspace(0.0, 1.0, SAMPLES)

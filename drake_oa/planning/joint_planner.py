@@ -3,8 +3,9 @@
 The planner is RRT-Connect (J. J. Kuffner and S. M. LaValle, ICRA 2000) with random shortcuts (R.
 Geraerts and M. H. Overmars, IJRR 2007). Edges are checked for collisions in steps, which are longer
 where the clearance margin (distance minus required clearance) is larger. While the trees grow,
-edges are checked in coarse steps. When the trees meet, the path is checked in fine steps, and nodes
-behind an edge in collision are removed (lazy collision checking).
+edges are checked in coarse steps. When the trees meet, the path is checked in fine steps. If an
+edge is in collision, the nodes that it connects to the root of their tree are removed (lazy
+collision checking).
 
 The effort is limited by the number of checked configurations, not by time. The same collision
 model, ends, seed and limit therefore give the same path.
@@ -36,9 +37,12 @@ _COARSE_STRIDE = 0.1
 
 Edges in joint space are checked coarsely while the trees of the planner grow."""
 _NEAR_LINE_FRACTION = 0.8
-"""Fraction of the planner's samples drawn near the joint-space line from start to goal [-]."""
+"""Fraction of the planner's samples drawn near the joint-space line from start to first goal [-].
+
+The other samples are uniform within the joint limits."""
 _LINE_DEVIATION = 1.0
-"""Standard deviation of planner samples from the joint-space line from start to goal [rad]."""
+"""Standard deviation of each joint of a planner sample from a random configuration on the
+joint-space line from the start to the first goal [rad]."""
 _MAX_SHORTCUTS = 100
 """Number of random shortcuts that the planner tries on each path from start to goal."""
 
@@ -83,12 +87,13 @@ class _Tree:
         self.parent = [-1] * self.size
 
     def extend(self, row: int, target: FloatArray) -> tuple[int, bool]:
-        """Adds a node to the tree, at the end of the collision-free edge from a node to a target.
+        """Adds a node to the tree, at the end of the collision-free part of an edge to a target.
 
         Args:
             row: index of the node at which the edge starts.
             target: (n,) configuration at which the edge ends [rad]. If it is farther away than
-                `_MAX_STEP`, the edge ends at this distance.
+                `_MAX_STEP`, the edge ends at this distance. The edge is checked in coarse steps
+                (`_COARSE_STRIDE`).
 
         Returns:
             Index of the new node, or -1 if the collision-free part of the edge is shorter than
@@ -113,11 +118,11 @@ class _Tree:
         return int(((self.q[: self.size] - q) ** 2).sum(axis=1).argmin())
 
     def branch(self, row: int) -> list[int]:
-        """Returns the indices of the nodes from a node to its root, if all edges are free.
+        """Returns the indices of the nodes from a node to its root, if no edge is in collision.
 
         The edges of this branch are checked for collisions in fine steps (`SPHERE_STRIDE`). If one
-        of them is in collision, the result is empty. The configurations of all nodes behind this
-        edge, seen from the root, are then set to inf, so that `nearest` never returns them.
+        of them is in collision, the result is empty. The configurations of all nodes that this edge
+        connects to the root are then set to inf, so that `nearest` never returns them.
 
         Args:
             row: index of the node at which the branch begins.

@@ -16,8 +16,8 @@ this order:
 The nominal motion is selected if it achieves the requested clearance, otherwise the shortest
 candidate that does; this candidate remains selected while it achieves the clearance and the nominal
 motion does not. If no candidate achieves it, the one with the least clearance shortfall is executed
-and the shortfall is reported. Predicted contact holds the motion; an arm in contact may only
-retreat from the obstacle.
+and the shortfall is reported. The motion is held if contact is predicted, if it misses the goal, or
+if the arm cannot follow it; an arm in contact may only retreat from the obstacle.
 """
 
 from __future__ import annotations
@@ -89,9 +89,14 @@ _MIN_ACCEPTABLE_DISTANCE = 1e-3
 _REPLAN_PERIOD = 0.5
 """Minimum time between two joint-space plans while no candidate motion is feasible [s]."""
 _MAX_DEVIATION = 0.015
-"""Deviation of a joint above which a resting arm has left the selected motion [rad]."""
+"""Difference of a joint from the selected motion above which a resting arm has left it [rad].
+
+The motion is evaluated at the current phase of the movement primitive."""
 _TOOL_TOLERANCE = 2e-3
-"""Distance between desired and actual position of the tool below which both count as equal [m]."""
+"""Distance of the tool from its desired position, below which `_MAX_DEVIATION` is checked [m].
+
+The desired position is that of the movement primitive. At larger distances, the arm does not count
+as having left the selected motion."""
 _CLEARANCE_FRACTIONS = (1.0, 0.5, 0.2)
 """Fractions of the requested clearance for which a joint-space path is planned [-].
 
@@ -202,7 +207,7 @@ class MotionSearch:
         ========= ========== ======= ===========================================================
         yes       yes        any     keep the motion
         yes       no         any     keep the hold, if no goal configuration is collision-free
-        any       any        no      search for a motion; hold on predicted contact
+        any       any        no      search for a motion; hold if the arm cannot execute it
         any       any        yes     search for a motion; if none is feasible, plan in joint space
         ========= ========== ======= ===========================================================
 
@@ -270,10 +275,11 @@ class MotionSearch:
         return current
 
     def _has_left_motion(self, current: SelectedMotion, inputs: PlanningInputs) -> bool:
-        """Checks whether the arm rests at a configuration that is not on the current motion.
+        """Checks whether the resting arm differs from the current motion by more than 0.015 rad.
 
-        The arm is there after an evasive maneuver of `MotionGuard`. The result is False as long as
-        the movement primitive is moving, or its position differs from that of the tool by 2 mm
+        The difference is that of any joint from the motion at the current phase (`_MAX_DEVIATION`);
+        evasive maneuvers of `MotionGuard` cause it. The result is False as long as the movement
+        primitive is moving, or its position differs from that of the tool by 2 mm
         (`_TOOL_TOLERANCE`) or more.
 
         Args:
@@ -293,7 +299,9 @@ class MotionSearch:
 
         The motion is rolled out again, because the arm has moved since the start of the decision.
         Directly in front of an obstacle, a small displacement can change the side on which the
-        motion passes. The result is True for a motion that has not begun or has no prediction.
+        motion passes. The result is False if the shortfall is larger than predicted by more than
+        the tolerance `slack`, or if the arm cannot follow the motion to the goal. It is True if the
+        movement primitive has not left its start, or if the motion has no prediction.
 
         Args:
             candidate: selected motion with its prediction.
@@ -617,8 +625,8 @@ class MotionSearch:
             model: collision model for which the path was planned.
 
         Returns:
-            Motion that starts from the resting arm; None: the tool turns too far for a movement
-            primitive, or the arm cannot follow the motion to the goal without contact.
+            Motion that starts from the resting arm; None: `demonstration` cannot convert the path,
+            or the arm cannot follow the motion to the goal without contact.
         """
         duration, alpha_k = self._dmp.duration, self._dmp.alpha_k
         seconds_per_meter = duration / max(math.dist(inputs.p_WG, inputs.policy.p_WE), 1e-3)
@@ -754,7 +762,7 @@ def _chain_command(coupling: CouplingParameters, route: Route, scene: Scene) -> 
 _LN_ALPHA_OFFSETS = np.array([-3.0, -2.0, -1.0, 0.0])
 """Offsets added to the logarithm of the strength alpha of a regressor chain's coupling term [-].
 
-Each offset gives one first candidate of the search."""
+Each offset gives one first candidate of the search for each obstacle's term."""
 
 
 def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
@@ -787,7 +795,9 @@ def _sides_of_term(route: Route, terms: FloatArray, angle: float) -> Route:
     Args:
         route: sides selected by cost rings, and their costs.
         terms: (1, 12) coupling term of the selected motion in the world frame: center (3) [m],
-            alpha, psi, kappa, guidance heading (3), and normal of the plane of rotation (3).
+            alpha in units of 1/T with the demonstrated duration T, psi [rad], kappa [1/m^2],
+            guidance heading (3), and normal of the plane of rotation (3). With alpha = 0, the
+            obstacles are passed without guidance.
         angle: angle of the side around the line from start to goal, 0 along the local y axis and
             pi/2 along z [rad].
     """
@@ -866,11 +876,14 @@ class MotionPrediction(Frozen):
             the requested one, or less where the current or the goal configuration is nearer to an
             obstacle. 0: the required clearance is achieved.
         limiting_obstacle: label of the collision geometry that comes nearest to the arm, or "the
-            arm itself" if the distance between its bodies is the most critical.
-        can_follow: whether the motion ends at the goal, and the arm can follow it.
+            arm itself" if the clearance margin (distance minus required clearance) between its
+            bodies is smaller than those of tool and links.
+        can_follow: whether the motion ends at the goal (up to `MAX_GOAL_ERROR`), and the arm
+            follows it with at most `MAX_POSE_ERROR`, within its joint speed limits.
         clearance_reduction: requested clearance of the tool minus the largest clearance that is
             required of any body of the arm from any obstacle [m]; 0 without obstacles.
-        goal_note: reason why no configuration at the goal is collision-free; "": one is.
+        goal_note: reason for holding the motion, if every configuration at the goal is in contact
+            with collision geometry; otherwise "". Checked only after a joint-space plan has failed.
         contact: label of the collision geometry that the arm touches now; "": none.
         sides: costs of the sides on which each obstacle can be passed, and the side on which the
             motion passes; for a viewer.
@@ -922,11 +935,11 @@ class SelectedMotion(Frozen):
     counts: IntArray = zeros(len(SOURCES), kind=np.int64)
 
     def matches(self, policy: PolicyState, p_WG: FloatArray) -> bool:
-        """Checks whether this motion has the start of a movement primitive and a given goal.
+        """Checks whether start and goal of this motion equal those of the current task exactly.
 
         Args:
-            policy: state of the movement primitive.
-            p_WG: (3,) goal in the world frame [m].
+            policy: state of the movement primitive, which contains its start.
+            p_WG: (3,) current goal in the world frame [m].
         """
         return np.array_equal(self.p_WS, policy.p_WS) and np.array_equal(self.p_WG, p_WG)
 
@@ -934,7 +947,8 @@ class SelectedMotion(Frozen):
         """Returns a copy in which some fields of the command or the prediction are replaced.
 
         Args:
-            parts: new values by field name, under the keyword `command` or `prediction`.
+            parts: for the keywords `command` and `prediction`, dictionaries of new values by the
+                name of the field, for example `command={"note": ""}`.
         """
         new = {name: replace(getattr(self, name), **fields) for name, fields in parts.items()}
         return replace(self, **new)

@@ -91,9 +91,10 @@ class MotionVerifier(LeafSystem):
     A decision starts at initialization and every `period`, with an offset so that it uses an
     observation of the same instant. With simulated compute latency, a decision becomes active at
     the first `step` of the movement primitive after its completion; meanwhile no other decision
-    starts. A completed decision is discarded if start or goal have changed, or if it restarts a
-    motion that no longer rests. It is also discarded if its motion no longer achieves the predicted
-    clearance from the current state, while the active motion still does.
+    starts. A completed decision is discarded if start or goal have changed, or if it restarts the
+    motion from rest while the movement primitive moves. It is also discarded if its motion no
+    longer achieves the predicted clearance from the current state, while the active motion still
+    does.
     """
 
     def __init__(
@@ -118,7 +119,7 @@ class MotionVerifier(LeafSystem):
             step: time step of the movement primitive, at which decisions become active [s].
 
         Raises:
-            ValueError: if a period is not positive.
+            ValueError: if `period` or, with a latency model, `step` is not positive and finite.
         """
         super().__init__()
         self._search, self._positions = search, list(positions)

@@ -86,7 +86,7 @@ class PerceivedField(Frozen):
         points: (N, 3) observed points in the world frame [m].
         view_W: (n, 3) unit directions from each camera to the obstacle in the world frame.
         max_depth: maximum assumed depth of the obstacle along the view, for filling its occluded
-            side, unless its visible depth is larger [m].
+            side [m]; a larger visible depth, up to 0.15 m (`_MAX_MOVING_DEPTH`), replaces it.
         inside: (K, 3) sampled nodes, more than a voxel below the field's surface, that no image
             observed as free, in the frame O of the grid (axes of the world, origin at the first
             node) [m]; (0, 3) with one camera.
@@ -125,9 +125,9 @@ def update_scene(
 ) -> PerceivedSceneState:
     """Updates the collision scene of perceived obstacles with a new observation.
 
-    An observation that is not finite, or older than the previous one, is ignored. Geometries and
-    stamp then remain: the age of the scene increases, and moving geometries continue at constant
-    velocity.
+    An observation is ignored if a coordinate or velocity is NaN or above 1000 m or m/s
+    (`_MAX_MAGNITUDE`), or if it is older than the previous one. Geometries and stamp then remain:
+    the age of the scene increases, and moving geometries continue at constant velocity.
 
     Args:
         previous: state after the previous observation.
@@ -195,8 +195,8 @@ def _create_field(
         name: track ID of the obstacle.
         cloud: (N, 3) observed points in the world frame [m].
         viewpoints_W: (n, 3) positions of the cameras in the world frame [m].
-        max_depth: maximum assumed depth of the obstacle along the view, unless its visible depth
-            is larger [m].
+        max_depth: maximum assumed depth of the obstacle along the view [m]; a larger visible depth,
+            up to 0.15 m (`_MAX_MOVING_DEPTH`), replaces it.
         table: support plane, below which nothing is filled; None: no plane.
         views: depth images of several cameras; space that any image observes as free is not filled.
     """
@@ -226,9 +226,15 @@ def _create_field(
 def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
     """Checks for each of N points whether any depth image observes the point as free.
 
+    An image does so if the surfaces that it measures at and next to the point's pixel are more than
+    1 cm (`_DEPTH_MARGIN`) behind the point (`drake_oa.geometry.pinhole.classify_points`).
+
     Args:
         views: depth images of all cameras.
         p_WQ: (N, 3) points in the world frame [m].
+
+    Returns:
+        (N,) True for a point observed as free.
     """
     free = np.zeros(len(p_WQ), dtype=bool)
     for view in views:
@@ -258,9 +264,10 @@ def _reuse_field(
 ) -> PerceivedField | None:
     """Moves a distance field to its obstacle's expected position, if it explains the new cloud.
 
-    It explains the cloud if the view directions are about the same; if no new point is outside the
-    moved field by more than a voxel; if at most 5 % of the field's points have no new point within
-    1.5 voxels; and if at most 5 % of its inner nodes are observed as free.
+    It explains the cloud if no component of a unit view direction has changed by more than 0.1
+    (`_MAX_VIEW_CHANGE`); if no new point is outside the moved field by more than a voxel; if at
+    most 5 % of the field's points have no new point within 1.5 voxels; and if at most 5 % of its
+    inner nodes are observed as free.
 
     Args:
         previous: distance field at the previous observation.
@@ -326,14 +333,15 @@ class PerceivedScene(LeafSystem):
     - camera_pose (optional): RigidTransform X_WC of the camera. Not connected: the occluded part
       of obstacles is not filled.
     - collision_scene_W: abstract `CollisionScene`: one distance field per obstacle, with its
-      velocity, and the half space below the table, if known. Space that an obstacle occludes from
-      a camera is filled up to an assumed depth, unless an image observes it as free
-      (`drake_oa.geometry.distance_field.field_of`). Obstacles truncated by the upper or lower
-      border of an image, or by its minimum depth, are extended upright by up to their visible
-      length (`drake_oa.perception.visibility.with_occluded_extents`).
+      velocity, and the half space below the table, if the input or the constructor contains one.
+      Space that an obstacle occludes from a camera is filled up to an assumed depth, unless an
+      image observes it as free (`drake_oa.geometry.distance_field.field_of`). Obstacles truncated
+      by the upper or lower border of an image, or by its minimum depth, are extended upright by up
+      to their visible length (`drake_oa.perception.visibility.with_occluded_extents`).
 
     The state is updated every `period`, after the observation of the same instant and before the
-    decision that uses the output. An observation that is not finite is ignored, with a warning.
+    decision that uses the output. An observation with NaN, infinite or too large values (above
+    1000 m or m/s) is ignored, with a warning.
     """
 
     def __init__(
@@ -347,9 +355,9 @@ class PerceivedScene(LeafSystem):
 
         Args:
             period: time between observations [s].
-            cameras: vertical range of the image and minimum depth of each camera, by the name of
-                its pose port; obstacles that are truncated there are extended. None: one port
-                camera_pose, and no obstacle is extended.
+            cameras: `ImageRange` of each camera, the rows of its image [pixel] and its minimum
+                depth [m], by the name of its pose port. Obstacles that are truncated at these
+                limits are extended. None: one port camera_pose, and no obstacle is extended.
             table: support plane until one is observed; None: no plane.
 
         Raises:

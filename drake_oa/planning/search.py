@@ -113,8 +113,8 @@ On a path of 1 m, consecutive positions of the tool are at most 3 cm apart."""
 ABORT_SHORTFALL = 0.06
 """Clearance shortfall beyond which the whole-arm roll-out of a candidate motion is aborted [m].
 
-It applies as long as infeasible candidates may be among the best ones. Afterwards any shortfall
-beyond the tolerance aborts a roll-out."""
+It applies while an infeasible candidate can still be among the best ones (`max_cost` is at least
+`INFEASIBLE_PENALTY`). Afterwards any shortfall beyond the tolerance `slack` aborts a roll-out."""
 _CYCLE_LENGTH = 24
 """Number of generations after which the search repeats its random numbers and `ln alpha` ranges."""
 _LATENCY_MODEL = LatencyModel()
@@ -127,7 +127,9 @@ MAX_POSE_ERROR = 5e-4
 It applies to each component of the position error [m] and of the rotation vector [rad]."""
 MAX_GOAL_ERROR = 0.02
 """Maximum distance from the goal at the end of an executed motion, as a fraction of the distance
-from start to goal."""
+from start to goal.
+
+A motion that is predicted to end farther away is held."""
 INFEASIBLE_PENALTY = 10.0
 """Cost w_inf that is added for an infeasible candidate motion; feasible ones thus rank first [-].
 
@@ -656,8 +658,8 @@ _N_RESULTS = 6
 
 The columns are the clearance margins (distance minus required clearance) of tool, links and
 self-distance [m], the maximum pose error of the tool [m, rad], the maximum ratio of a joint's speed
-to its limit [-], and the number of samples. A pose error is the largest absolute component of the
-position error [m] and of the rotation vector [rad]."""
+to its limit [-], and the number of checked samples. A pose error is the largest absolute component
+of the position error [m] and of the rotation vector [rad]."""
 _MIN_CANDIDATES_PER_THREAD = 8
 """Minimum number of candidates per additional thread of the whole-arm roll-outs."""
 
@@ -673,7 +675,8 @@ class ToolPaths(NamedTuple):
         p_WE: (N, T, 3) positions in the world frame [m]; NaN after the end of a motion.
         R_WE: (N, T, 9) orientations in the world frame: rotation matrices, row by row.
         posture: (N, T, n) nominal postures of the null space [rad].
-        seconds: time that corresponds to a difference of 1 in normalized time [s].
+        seconds: time that corresponds to a difference of 1 in normalized time [s]; the demonstrated
+            duration T, so that joint speeds are computed for tau = 1.
     """
 
     s: FloatArray
@@ -758,7 +761,7 @@ def _roll_some(
             roll-out is aborted [m].
         out: (N, 6) results, set in place: clearance margins of tool, links and self-distance [m],
             maximum pose error of the tool [m, rad], maximum ratio of a joint's speed to its limit,
-            and number of samples.
+            and number of checked samples, fewer than T if the roll-out is aborted or the path ends.
         Q: (N, T, n) configurations, set in place [rad].
     """
     T, n = Q.shape[1:]
