@@ -97,9 +97,9 @@ class CostRingSelector(LeafSystem):
             requested_clearance: requested clearance Delta between tool and obstacles [m].
             period: time between decisions [s].
             table_height: minimum height of the tool point above the table [m].
-            joint_margins: function that computes the distance of the joints from their limits along
-                paths of the tool; None: the rings "workspace" (reach of the arm) and "joint_limits"
-                are omitted.
+            joint_margins: function (`JointMargins`) that computes the minimum distance of the
+                joints from their limits [rad] along paths of the tool point; None: the rings
+                "workspace" (reach of the arm) and "joint_limits" are omitted.
             extra_rings: user-supplied cost rings by name, functions that map a `RingScene` of M
                 obstacles and K directions to costs (M, K) in [0, 1]; 1 forbids a direction.
             ring_weight: cost of a side that a user-supplied ring rates just below 1, as additional
@@ -201,7 +201,8 @@ class CostRingSelector(LeafSystem):
     def _current(self, context: Context) -> Route:
         """Returns the route of the last decision, or a new one if the set of obstacles has changed.
 
-        A route is the selected side of each obstacle.
+        A route is the selected side of each obstacle. Before the first decision with distinct start
+        and goal, it is computed for the current ones, or empty if they coincide.
         """
         ellipsoids = self._ellipsoids.read(context)
         decided: Route = context.get_abstract_state(self._decided).get_value()
