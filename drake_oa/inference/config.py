@@ -44,11 +44,11 @@ class Verified:
     """Number of candidate motions that each iteration of the search simulates [-]. Raising it
     searches more widely."""
     generations: int = Field(default=8, ge=0, le=1000)
-    """Maximum number of iterations of the search for a feasible motion [-]. Raising it searches
-    longer before the search fails."""
+    """Maximum number of iterations of the search, before and after the first feasible motion [-].
+    Raising it searches longer before the search fails."""
     refinement_generations: int = Field(default=4, ge=0, le=1000)
-    """Number of iterations of the search after the first feasible motion [-]. Raising it gives
-    shorter motions."""
+    """Maximum number of iterations of the search after the first feasible motion, within
+    `generations` [-]. Raising it gives shorter motions."""
     slack: float = Field(default=5e-4, ge=0.0, le=0.1)
     """Maximum clearance shortfall of a feasible motion, also subtracted from the distances of start
     and goal to obstacles, which limit the required clearance [m]. Raising it accepts motions closer
@@ -58,7 +58,8 @@ class Verified:
     motions that end farther away."""
     link_clearance: float = Field(default=0.03, ge=0.0, le=1.0)
     """Requested clearance of the links from all collision geometry, and of the tool from the
-    environment [m]. Raising it makes the arm pass at a larger distance."""
+    environment [m]. It is limited to the requested clearance of the tool from obstacles. Raising it
+    makes the arm pass at a larger distance."""
     ring_weight: float = Field(default=0.5, ge=0.0, le=100.0)
     """Cost of passing obstacles on a side that a user-supplied cost ring rates just below 1, the
     cost that forbids the side; as additional path length over the distance from start to goal [-].
@@ -73,6 +74,7 @@ class Verified:
     [-]. If the search finds no feasible motion, the planner runs at decreasing fractions of the
     requested clearance. Raising the number finds more paths and requires more time."""
     last_configurations: int = Field(default=200_000, ge=0, le=10_000_000)
-    """Maximum number of configurations of the arm that one run of the joint-space planner checks in
-    its last attempts, at 0.2 times the requested clearance [-]. Raising it finds more paths and
-    requires more time."""
+    """Maximum number of configurations of the arm that one run of the joint-space planner checks,
+    after all runs limited by `configurations` have found no path that the arm can execute; the
+    requested clearance is then multiplied by 0.2 [-]. Raising it finds more paths and requires more
+    time."""

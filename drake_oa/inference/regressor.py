@@ -32,9 +32,10 @@ from drake_oa.geometry.ellipsoid import section_matrix
 from drake_oa.inference.weights_file import array_of, read_weights, write_weights
 
 _ROUNDING = 1e-12
-"""Rounding tolerance by which an input of a regressor chain may leave the trained range [-].
+"""Deviation from the trained range up to which a regressor chain's input counts as in range [-].
 
-Inputs are lengths divided by the distance from start to goal."""
+Such deviations are rounding errors. Inputs are lengths divided by the distance from start to goal.
+"""
 
 _NARROWEST = 1e-3
 """Lower bound of a regressor chain's output psi, the angular width of a coupling term [rad]."""
@@ -124,9 +125,10 @@ class ChainWeights(Frozen):
         networks: networks by their outputs "kappa", "psi" and "alpha".
         lower: (d,) minima of the inputs in the training set [-].
         upper: (d,) maxima of the inputs in the training set [-].
-        metadata: units, ranges, recipe (name of the training procedure), configuration, seed,
-            normalized mean squared errors, version, date and source digest (hash of the source
-            files) of the training.
+        metadata: description of the training: among others units of the outputs, recipe (name of
+            the training procedure), seed, normalized mean squared errors, version of this package,
+            date and source digest (hash of the source files). Only the unit of alpha is evaluated
+            (`check_action_level`).
     """
 
     networks: Mapping[str, Network]
