@@ -40,8 +40,8 @@ class Segment(Frozen):
     """Motion of the tool point between two consecutive steps of the policy.
 
     Attributes:
-        state: state of the policy (position, scaled velocity, phase, hold) at the beginning of the
-            segment.
+        state: state of the policy (position, scaled velocity, phase, speed ds/dt, and reason for
+            holding the motion) at the beginning of the segment.
         end: state of the policy at the end of the segment.
         evasion_velocity: (2, 3) evasion velocity at the beginning and at the end of the segment, in
             the world frame [m/s]. It adds to the velocity of the movement primitive.
@@ -89,7 +89,8 @@ def make_segment(state: PolicyState, primitive: Dmp | None = None) -> Segment:
     """Returns a segment of zero length, which begins and ends at the same state of the policy.
 
     Args:
-        state: state of the policy (position, scaled velocity, phase, hold).
+        state: state of the policy (position, scaled velocity, phase, speed ds/dt, and reason for
+            holding the motion).
         primitive: movement primitive of the motion; None: that of the constructor of
             `DmpIntegrator`.
     """
@@ -186,9 +187,10 @@ def restart(
 ) -> Segment:
     """Restarts a motion of the tool point that is at rest, with its current position as the start.
 
-    The phase becomes 1 and the goal `p_WG`. The segment is returned unchanged in three cases: the
-    motion has left its start and moves, it is at the goal, or it is still at its start and has the
-    same primitive.
+    The phase becomes 1 and the goal `p_WG`. A motion is at rest while its rate ds/dt of normalized
+    time is 0. The segment is returned unchanged in three cases: the motion has left its start and
+    is not at rest, its position is `p_WG`, or it is still at its start and already has the
+    primitive `primitive`.
 
     Args:
         before: motion in the previous step, at the end of which the motion restarts.
@@ -227,7 +229,8 @@ class CouplingInputs(Frozen):
     until its inputs change.
 
     Attributes:
-        ellipsoids: ellipsoids of the perceived obstacles; None: there is no perception.
+        ellipsoids: ellipsoids of the perceived obstacles; None: the input port ellipsoids_W is not
+            connected.
         obstacles: obstacles with their coupling terms, as arrays for the compiled kernels.
         hold: reason for holding (stopping) the motion that the message with the coupling parameters
             or the route contains; NONE: neither holds the motion.
@@ -235,8 +238,8 @@ class CouplingInputs(Frozen):
         tau: requested temporal scaling of the demonstrated duration; 0: none is requested.
         path_length: length of the path past all obstacles on their selected sides [m], which scales
             the duration if `tau` is 0; None: no sides are selected.
-        verified: whether roll-outs (simulations) have verified the motion; a tool or goal inside an
-            ellipsoid then does not hold the motion.
+        verified: whether the coupling terms belong to a motion that `MotionVerifier` has selected
+            by roll-outs (simulations); a tool or goal inside an ellipsoid then does not hold it.
         restart: whether a motion at rest restarts from its current position.
     """
 
@@ -256,8 +259,9 @@ class CouplingInputs(Frozen):
         """Combines the values of three input ports of the policy into one object.
 
         Args:
-            ellipsoids: M obstacles; None: there is no perception. Then only coupling terms act that
-                roll-outs (simulations) have verified, because these have their own centers.
+            ellipsoids: M obstacles; None: the input port ellipsoids_W is not connected. Then only
+                coupling terms act that roll-outs (simulations) have verified, because these have
+                their own centers.
             coupling: parameters of M coupling terms; None: no coupling terms. Their normals of the
                 planes of rotation, temporal scaling and hold take precedence over those of the
                 route.
@@ -294,7 +298,9 @@ class CouplingInputs(Frozen):
     def hold_at(self, state: PolicyState, time: float, max_age: float) -> tuple[HoldReason, str]:
         """Returns the reason for holding the motion at a time, and an explanation of this reason.
 
-        The motion is held in the following cases. The first that applies determines the reason.
+        The motion is held in the following cases. The first that applies determines the reason. If
+        none applies, the reason is NONE and the explanation empty. If the input port ellipsoids_W
+        is not connected, only the second case can apply.
 
         - There is no observation of the obstacles yet, or the last one is older than `max_age`.
         - The message with the coupling parameters or the route contains a hold, for example because

@@ -111,16 +111,16 @@ def advance(
     """Integrates position and scaled velocity of a motion with coupling terms over up to T steps.
 
     A step consists of half a step of the spring, the rotation of the scaled velocity by the
-    coupling terms, and the other half step of the spring. Near the goal the strengths alpha of the
-    coupling terms fade as (distance / fade)^4. Without fading the coupling terms would keep the
-    motion circling around the goal. The power is as high as 4 because the motion depends on the
-    logarithm of alpha.
+    coupling terms, and the other half step of the spring. At a distance from the goal below
+    `setup.fade`, the strengths alpha of the coupling terms fade as (distance / fade)^4. Without
+    fading the coupling terms would keep the motion circling around the goal. The power is as high
+    as 4 because the motion depends on the logarithm of alpha.
 
     Args:
         setup: constants of the motion.
         obstacles: obstacles from which the guidance headings of the coupling terms, directions past
-            the obstacles on their selected sides, are computed in each step; none: the headings in
-            `coupling` remain.
+            the obstacles on their selected sides, are computed in each step; `NO_OBSTACLES`: the
+            headings in `coupling` remain.
         coupling: (K, 12) coupling terms without fading, with the columns obstacle's center p_WO
             (3), alpha, psi, kappa, guidance heading (3) and normal of the plane of rotation (3).
         longest: maximum path length [m]; the integration ends as soon as the length so far plus

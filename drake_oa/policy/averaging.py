@@ -57,13 +57,15 @@ their samples."""
 _SHORT = 0.05
 """Minimum ratio of the distance from start to end of a recorded path to the path's extent [-].
 
-The extent is the largest edge of the path's bounding box along the world's axes. Paths with a
-smaller ratio are refused, because a movement primitive is scaled by this distance."""
+The extent is the largest edge of the path's bounding box along the world's axes. Paths of at least
+`SPARSE` samples with a smaller ratio are refused, because a movement primitive is scaled by this
+distance."""
 _UNLIKE = math.pi / 2.0
-"""Maximum rotation between the orientations of a recording and of the mean of recordings [rad].
+"""Maximum difference between the rotations of a recording and the mean of all recordings [rad].
 
-They are compared at the start, in the middle and at the end. Recordings with larger rotations are
-refused, as they probably rotate in different directions."""
+The orientations in the middle are compared, and the rotation vectors from the middle to the start
+and to the end. Recordings with a larger difference are refused, as they probably rotate in
+different directions."""
 
 
 def average_paths(

@@ -40,7 +40,7 @@ class Policy:
     """Minimum height of the tool point above the table where the motion passes an obstacle [m].
     Raising it forbids more directions of passing an obstacle close to the table."""
     max_observation_age: float = Field(default=0.5, gt=0.0, le=1e6)
-    """Age of the last valid observation of the obstacles above which the motion is held, that is,
+    """Age of the last observation of the obstacles above which the motion is held, that is,
     stopped on its path [s]. Raising it tolerates longer gaps in perception."""
     hold_time: float = Field(default=0.25, gt=0.0, le=10.0)
     """Time in which a held motion slows down from full speed to rest [s]. Raising it makes stops

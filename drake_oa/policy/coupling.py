@@ -14,8 +14,8 @@ side on which the obstacle is passed.
 
 The rotation in one step is derived in docs/theory/integration.md. The kernels pass vectors
 as triples, so that they do not allocate memory and can be inlined. A kernel describes the effect of
-a coupling term in a step by the axis of its rotation, the exact rotation angle as if the term acted
-alone, and its initial rate times the step.
+a coupling term in a step by the axis of its rotation, the rotation angle over the step if the term
+acts alone, and the turning rate at the beginning of the step times the step.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ ALPHA, PSI, KAPPA, HEADING, NORMAL = 3, 4, 5, 6, 9
 """Column indices in an array of coupling terms, in which a row of 12 numbers is one term.
 
 They are the columns of the parameters alpha (strength), psi (angular width) and kappa (decay with
-the distance), and the first of three columns of the guidance heading and of the normal of the plane
-of rotation. Columns 0 to 2 contain the center of the obstacle."""
+the squared distance), and the first of three columns of the guidance heading and of the normal of
+the plane of rotation. Columns 0 to 2 contain the center of the obstacle."""
 N_COLUMNS = 12
 """Number of columns in an array of coupling terms, in which a row is one term.
 
@@ -46,20 +46,23 @@ They are the obstacle's center (3), alpha, psi, kappa, the guidance heading (3) 
 the plane of rotation (3)."""
 
 _MAX_STIFFNESS = 1e4
-"""Maximum ratio of a coupling term's initial rate times step to its exact rotation in a step [-].
+"""Maximum ratio of a coupling term's initial rate times step to its rotation over the step [-].
 
-Larger ratios are reduced to this value. They would make the linear system for the rotation by all
-terms together ill-conditioned."""
+The rotation is that of a term that acts alone. Larger ratios are reduced to this value. They would
+make the linear system for the rotation by all terms together ill-conditioned."""
 _NEGLIGIBLE = 1e-15
-"""Rotation of the motion in a step below which an avoidance term is skipped [rad]."""
+"""Product of maximum turning rate and step below which an avoidance term is skipped [rad].
+
+The maximum rate over all headings is alpha exp(-kappa d^2), with the strength alpha, the decay
+kappa, and the distance d from the obstacle's center. The step is in normalized time."""
 
 Triple = tuple[float, float, float]
 """Vector of three components, as a tuple for compiled kernels."""
 Term = tuple[Triple, float, float]
 """Rotation of the motion by one coupling term, as if it acted alone, over a step of the policy.
 
-The elements are the axis, the exact rotation over the step [rad] (0: inactive), and the initial
-turning rate times the step [rad]."""
+The elements are the axis, the rotation over the step [rad] (0: inactive), and the turning rate at
+the beginning of the step times the step [rad]."""
 _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
 """Rotation by an inactive coupling term: zero axis, zero rotation, and zero rate times step."""
 
@@ -257,8 +260,8 @@ def avoidance_term(
         step: length of the step in normalized time.
 
     Returns:
-        Axis in the world frame, exact rotation over the step [rad] (0: the term is inactive), and
-        initial rate times the step [rad].
+        Axis in the world frame, rotation over the step if the term acts alone [rad] (0: the term is
+        inactive), and turning rate at the beginning of the step times the step [rad].
     """
     d, size = norm(o), norm(normal)
     near = alpha * math.exp(-kappa * d * d)
@@ -298,8 +301,8 @@ def guidance_term(
         step: length of the step in normalized time.
 
     Returns:
-        Axis in the world frame, exact rotation over the step [rad] (0: the term is inactive), and
-        initial rate times the step [rad].
+        Axis in the world frame, rotation over the step if the term acts alone [rad] (0: the term is
+        inactive), and turning rate at the beginning of the step times the step [rad].
     """
     gain = -alpha * math.expm1(-closeness)
     if norm(v) == 0.0 or not gain > 0.0:
@@ -339,11 +342,11 @@ def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
 def turn_step(terms: FloatArray, fade: float, p: Triple, z: Triple, step: float) -> Triple:
     """Computes the rotation of the motion's heading by all coupling terms together over a step.
 
-    The rotation vector w solves (I + sum (q_i - 1) a_i a_i^T) w = sum q_i phi_i a_i for terms with
-    unit axis a_i, exact rotation phi_i and q_i = (initial rate times step) / phi_i. A term that
-    acts alone thus rotates the heading by phi_i, even if its rate is large. It never rotates past
-    the direction straight away from the obstacle, or past the guidance heading. The angle is at
-    most pi.
+    The rotation vector w solves (I + sum (q_i - 1) a_i a_i^T) w = sum q_i phi_i a_i. a_i is the
+    unit axis of term i, phi_i its rotation over the step if it acts alone, and q_i its turning rate
+    at the beginning of the step, times the step, over phi_i. A term that acts alone thus rotates
+    the heading by phi_i, even if its rate is large. It never rotates past the direction straight
+    away from the obstacle, or past the guidance heading. The angle |w| is at most pi.
 
     Args:
         terms: (M, 12) coupling terms with the columns p_WO (3), alpha, psi, kappa, guidance heading

@@ -310,8 +310,8 @@ def interpolant(s: FloatArray, x: FloatArray) -> BSpline | PchipInterpolator:
     """Returns a spline through the samples x (T, D) of a demonstration at increasing times s (T,).
 
     The degree is 5, or lower for fewer than six samples. At uneven times such a spline may
-    overshoot without limit. If it leaves the range of the samples by more than a fifth of their
-    largest range, the result is a monotone cubic interpolant.
+    overshoot without limit. If any of its D components leaves the range of the samples by more than
+    a fifth of the largest range of a component, the result is a monotone cubic interpolant.
     """
     spline = make_interp_spline(s, x, k=min(5, len(x) - 1) if len(x) != 5 else 3)
     low, high = x.min(axis=0), x.max(axis=0)
@@ -322,8 +322,10 @@ def interpolant(s: FloatArray, x: FloatArray) -> BSpline | PchipInterpolator:
 
 
 _OVERSHOOT = 0.2
-"""Maximum distance by which a spline through a demonstration may leave the range of its samples, as
-a ratio to their largest range [-]."""
+"""Maximum distance by which a component of the spline through a demonstration may leave the range
+of the samples, over the largest range of a component [-].
+
+A monotone cubic interpolant replaces a spline that leaves the range by more."""
 
 
 @lru_cache(maxsize=16)
@@ -397,7 +399,8 @@ class Trajectory(NamedTuple):
     """Motion of the tool's position or orientation, sampled at n + 1 normalized times.
 
     Attributes:
-        s: (n + 1,) normalized times (time over demonstrated duration times temporal scaling).
+        s: (n + 1,) normalized times t / (tau T), with demonstrated duration T and temporal scaling
+            tau.
         p: (n + 1, 3) positions [m], or rotation vectors [rad].
         z: (n + 1, 3) derivatives dp/ds [m or rad].
     """
@@ -474,7 +477,10 @@ LARGEST_ANGLE = math.radians(300.0)
 Demonstrations with larger rotations are refused, because rotation vectors become singular at
 2 pi."""
 _HALF_TURN = math.pi - 1e-6
-"""Angle between two orientations above which the direction of rotation is ambiguous [rad]."""
+"""Angle between two orientations above which the direction of rotation counts as ambiguous [rad].
+
+Errors are then raised for consecutive samples of a demonstration, and for start and goal of a
+motion without a demonstrated rotation."""
 _STEP = 5e-4
 """Maximum step in normalized time for the integration of the orientation's movement primitive [-].
 
@@ -494,13 +500,13 @@ class OrientationDmp(Frozen):
     Attributes:
         dmp: movement primitive of four dimensions: the forcing term f_0, which is multiplied by the
             difference of the rotation vectors of goal and start, and the forcing term f (3,) [rad].
-        total: (3,) difference of the rotation vectors at the end and at the start of the
-            demonstration; zero without a demonstration [rad]. Rotation vectors are continuous along
-            the samples, so that this difference may be longer than pi.
-        first: (3, 3) orientation R_WE at the start of the demonstration.
-        last: (3, 3) orientation R_WE at the end of the demonstration.
-        offset: (3,) rotation vector r(0) from the orientation in the middle of the demonstration to
-            the orientation at the start; zero without a demonstration [rad].
+        total: (3,) rotation vector at the end minus that at the start of the demonstration, both
+            from its middle sample; zero without a demonstration [rad]. Rotation vectors are
+            continuous along the samples, so that this difference may be longer than pi.
+        first: (3, 3) orientation R_WE at the start of the demonstration; identity without one.
+        last: (3, 3) orientation R_WE at the end of the demonstration; identity without one.
+        offset: (3,) rotation vector r(0) from the middle sample of the demonstration to its first
+            sample; zero without a demonstration [rad].
     """
 
     dmp: Dmp
@@ -846,7 +852,8 @@ def _rate(cubic: FloatArray, time: float) -> FloatArray:
 class Demonstration(Frozen):
     """Demonstration that a new motion imitates: position and orientation of the tool, and posture.
 
-    For a field that is None or empty, the motion imitates the demonstration of the task.
+    For a field that is None or empty, the motion imitates the demonstrations of the scenario (field
+    `task.demonstration`) or, without any, a straight minimum-jerk motion.
 
     Attributes:
         position: movement primitive of the tool point, with the duration of the motion.

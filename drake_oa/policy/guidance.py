@@ -56,7 +56,8 @@ class Obstacles(NamedTuple):
         direction: (M, 3) unit vectors omega_d in the world frame, from the baseline (line from
             start to goal) to the side on which each obstacle is passed.
         remaining_clearance: (M,) distance from each obstacle at which guidance leads the motion
-            past the obstacle [m]; 0: no guidance.
+            past the obstacle [m]: the requested clearance, or the distance of start or goal from
+            the obstacle if that is smaller; 0: no guidance.
     """
 
     p_WO: FloatArray

@@ -49,8 +49,8 @@ class OrientationSegment(Frozen):
         length: time between the steps [s]; 0 before the integrator's first step.
         p_WS: (3,) start position of the policy's motion at the second step [m], whose change marks
             a restart of the motion; (0,) before the integrator's first step.
-        demonstration: active demonstration; while it is empty the constructor's primitive is
-            active.
+        demonstration: active demonstration; if its field `orientation` is None, the primitive of
+            the constructor of `OrientationIntegrator` is active.
     """
 
     primitive: OrientationDmp
@@ -198,7 +198,8 @@ class OrientationIntegrator(LeafSystem):
             context: context of the system, whose input `demonstration` is read.
             before: previous segment.
             policy: current state of the policy; the motion starts if the position p_WS of its start
-                has changed, or if its phase is 1 and the demonstration is new.
+                has changed, or if its phase is 1 and the input is not the demonstration of the
+                previous segment.
         """
         demonstration = self._demonstration.find(context)
         has_restarted = len(before.p_WS) > 0 and not np.array_equal(before.p_WS, policy.p_WS)

@@ -28,7 +28,9 @@ LATEST = 2.0
 
 Normalized time is time over the planned duration: 1 is the planned end of the motion."""
 ARRIVED = 6e-4
-"""Default distance from the goal below which a simulated motion counts as arrived [m]."""
+"""Default distance from the goal below which a simulated motion counts as arrived and ends [m].
+
+Its scaled velocity must also be below 20 times this value."""
 _EACH = 8
 """Number of additional candidate motions for which their simulation uses one more thread [-]."""
 
@@ -45,7 +47,8 @@ class Scene(Frozen):
         baseline: distance L from start to goal [m].
         ellipsoids: ellipsoids of the obstacles at their current positions.
         clearance: (M,) requested clearance from each obstacle [m].
-        s: current normalized time (time over demonstrated duration times temporal scaling).
+        s: current normalized time t / (tau T), with demonstrated duration T and temporal scaling
+            tau.
     """
 
     p_WE: FloatArray
