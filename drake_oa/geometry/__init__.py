@@ -6,9 +6,9 @@ Q in the world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all
 
 - `ellipsoid`: the unified system-obstacle descriptor (Pairet et al., RA-L 2019, section IV-B): an
   obstacle's point cloud dilated by the tool, and the enclosing ellipsoid of least volume (Todd and
-  Yildirim 2007), which is checked to contain every point dilated by every corner of the tool;
-  signed distances from points to ellipsoids, and sections of ellipsoids by planes. Its loops are in
-  `ellipsoid_kernels`.
+  Yildirim 2007), which is checked to contain all dilated points, the differences of a point of the
+  cloud and a vertex of the tool; signed distances from points to ellipsoids, and sections of
+  ellipsoids by planes. Its loops are in `ellipsoid_kernels`.
 - `superquadric`: the paper's least-squares fit of a superquadric to a cloud (Solina and Bajcsy
   1990).
 - `collision_scene`: collision geometries of robots and obstacles, read from Drake: exact shapes,

@@ -63,8 +63,9 @@ class CollisionGeometries(NamedTuple):
         X_WO: (K, 3, 4) upper three rows of the poses at the stamp.
         size: (K, 7) dimensions [m], unused ones 0. Rounded box: half extents of its inner box, and
             the radius by which this box is dilated. Cylinder about z: radius, radius, half its
-            length, 0, and 1 (no length) as a mark. Ellipsoid: semi-axes. Field: edge of a voxel,
-            and low and high corner in O of the bounding box of the grid nodes in the obstacle.
+            length, 0, and 1 (no length), which distinguishes it from a rounded box. Ellipsoid:
+            semi-axes. Field: edge of a voxel, and low and high corner in O of the bounding box of
+            the grid nodes in the obstacle.
         layout: (K, 6) kind (`PRIMITIVE`, `ELLIPSOID`, `HALF_SPACE`, `HULL` or `FIELD`), four
             indices, and obstacle ID. The indices of a hull are its first face in `faces` and one
             past its last; those of a field are its first element in `voxels`, and its numbers of
@@ -112,8 +113,9 @@ class CollisionGeometry(Frozen):
         stamp: time of the pose [s].
         size: dimensions [m]. Rounded box: half extents of its inner box, and the radius by which
             this box is dilated. Cylinder about z: radius, radius, half its length, 0, and 1 (no
-            length) as a mark. Ellipsoid: semi-axes. Field: edge of a voxel, and low and high corner
-            in O of the bounding box of the grid nodes in the obstacle.
+            length), which distinguishes it from a rounded box. Ellipsoid: semi-axes. Field: edge of
+            a voxel, and low and high corner in O of the bounding box of the grid nodes in the
+            obstacle.
         center, radius: bounding sphere in O [m]; radius inf: half-space.
         faces: (F, 13) triangles of a hull: outer unit normal (3), offset of the plane from the
             origin of O along the normal [m], and three corners in O (3 each) [m].
@@ -444,8 +446,8 @@ class CollisionScene(Frozen):
         )
 
     def __post_init__(self) -> None:
-        """Leaves the arrays writable, unlike the base class, because the kernels are compiled for
-        writable arrays.
+        """Leaves the arrays writable, unlike the base class `Frozen`, because the kernels are
+        compiled for writable arrays.
 
         No kernel writes to them.
         """

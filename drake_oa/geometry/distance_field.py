@@ -32,7 +32,7 @@ MAX_CELLS = 1 << 20
 coarser [-]."""
 DEEPEST = 0.08
 """Maximum depth that is assumed for an obstacle whose occluded part is filled, because cameras
-observe it from one side only [m]."""
+observe it from one side only; a larger visible depth replaces it [m]."""
 
 OFFSET = 0.13
 """Constant that is subtracted from all distances of a distance field, so that they are at most one
@@ -42,8 +42,8 @@ In voxels, a point is at most sqrt(3) / 2 from the nearest node. Interpolation a
 the distance from a node; the maximum, by numerical search, is near the center of a voxel with the
 node as a corner."""
 _THIN = 1e-4
-"""Half the width of each point in the outline of an obstacle from above, so that collinear points
-have an outline [m]."""
+"""Half the edge of the square that replaces each point in the computation of an obstacle's outline
+from above, so that collinear points have an outline [m]."""
 _MIN_VIEW_DISTANCE = 0.05
 """Minimum distance of a camera from the bounding box of the cloud at which the space that the
 obstacle occludes is filled [m]."""
@@ -99,8 +99,10 @@ def field_of(
     - The node is behind the visible surface on a ray of the viewpoint. Its horizontal distance from
       this surface is at most `deepest`, and at most the larger of the obstacle's width and visible
       depth.
-    - It is within the outline from above of the visible part and its mirror image about the center
-      of the object. The assumed depth is the visible depth, or the width up to `deepest` if larger.
+    - It is within the outline from above of the visible part and its point reflection about the
+      center of the obstacle. Along the view, this center is half the assumed depth behind the
+      nearest point; across the view, it is in the middle of the visible part. The assumed depth is
+      the visible depth, or the width up to `deepest` if larger.
     - It is above the table. Without a table, it is above the lowest point, or below the highest
       point by at most the width, up to `deepest`.
     - It is not observed to be free.
@@ -108,14 +110,15 @@ def field_of(
     The distance is at most one voxel larger than that to the points and, if no space is filled, at
     most two smaller: sqrt(3)/2 from the point to its node, as much again at creases of the distance
     between nodes, where two occupied nodes are equally near, and the subtracted offset of 0.13.
-    Away from creases, as outside a surface, it is at most one voxel smaller. Voxels with an edge
-    above `VOXEL` (1 cm) reduce all distances by the difference of the edges.
+    Away from creases, for example outside a flat surface, it is at most one voxel smaller. Voxels
+    with an edge above `VOXEL` (1 cm) reduce all distances by the difference of the edges.
 
     Args:
         cloud: (N, 3) points in the world, at least one [m].
         viewpoints_W: (n, 3) positions of the cameras that observed the cloud [m]; empty: nothing is
             filled.
-        deepest: maximum assumed depth of an obstacle that is observed from one side [m].
+        deepest: maximum assumed depth of an obstacle that is observed from one side, unless its
+            visible depth is larger [m].
         table: support plane; nothing is filled below it.
         seen_free: function from points (N, 3) [m] to (N,) booleans, True for a point that an image
             observes to be free. None: no image is available.
@@ -226,16 +229,16 @@ def _find_occluded(
 
     The nodes are behind the visible surface, at a horizontal distance of at most `deepest` and of
     at most the larger horizontal extent of the points, along or across the view. They are within
-    the outline from above of the points and their mirror image, and above the table. Without a
-    table, they are above the lowest point, or below the highest point by at most the extent across
-    the view, up to `deepest`.
+    the outline from above, occluded part included, that `_outline` computes, and above the table.
+    Without a table, they are above the lowest point, or below the highest point by at most the
+    extent across the view, up to `deepest`.
 
     Args:
         points: (N, 3) points of the obstacle in the world [m].
         p_WV: (3,) viewpoint, the position of the camera in the world [m].
         p_WO: (3,) first node of the grid in the world [m].
         voxel: edge of a voxel [m].
-        deepest: maximum assumed depth of the obstacle [m].
+        deepest: maximum assumed depth of the obstacle, unless its visible depth is larger [m].
         table: support plane; nothing is filled below it.
 
     Returns:
@@ -297,8 +300,9 @@ def _outline(along: FloatArray, across: FloatArray, depth: float) -> FloatArray:
     """Computes the outline of an obstacle from above, including its occluded part, as half-planes.
 
     Most objects are symmetric about a vertical axis (J. Bohg et al., ICRA 2011, mirror the visible
-    part at a plane). The outline is therefore the convex hull of the points and of their mirror
-    images about the center.
+    part at a plane). The outline is therefore the convex hull of the points and of their point
+    reflections about the center of the obstacle: half of `depth` behind the nearest point along the
+    view, and in the middle of the points across it.
 
     Args:
         along, across: (N,) horizontal coordinates of the points along the view and across it [m].

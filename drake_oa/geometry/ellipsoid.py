@@ -56,9 +56,9 @@ class Ellipsoid(Frozen):
         center: (3,) center p_WO [m].
         R: (3, 3) rotation R_WO; its columns are the principal axes, right-handed.
         semi_axes: (3,) semi-axes along those columns, largest first [m].
-        gauge: largest gauge of any point x dilated by any corner of the tool, computed from the
-            other fields, with gauge(x) = |diag(1 / semi_axes) R^T (x - center)|. The gauge is 1 on
-            the surface and smaller inside, so that a value of at most 1 certifies that the
+        gauge: largest gauge(x) = |diag(1 / semi_axes) R^T (x - center)| of all dilated points x,
+            the differences of a point of the obstacle's cloud and a vertex of the tool. The gauge
+            is 1 on the surface and smaller inside, so that a value of at most 1 certifies that the
             ellipsoid encloses all dilated points.
     """
 

@@ -22,14 +22,14 @@ HIDDEN, AT, FREE, OUT, EMPTY = 0, 1, 2, 3, 4
 """States of a point in a depth image, as returned by `classify_points`.
 
 HIDDEN: occluded; AT: at the depth of a surface; FREE: in free space; OUT: outside the image, or
-without depth; EMPTY: without depth, also far around it, as in front of a background that is too far
-to be measured."""
+with too few measured pixels to decide; EMPTY: without depth in the pixels around it and 12 pixels
+away, as in front of a background that is too far to be measured."""
 _AROUND = 12
-"""Distance to the pixels around a pixel without depth that decide whether a point there is EMPTY or
-OUT [pixel].
+"""Distance to the eight pixels around a pixel without depth that decide whether a point there is
+EMPTY or OUT [pixel].
 
-A point is EMPTY if these pixels have no depth either. The distance is larger than the width of the
-bands without depth beside nearer objects."""
+A point is EMPTY if these pixels are in the image and have no depth either. The distance is larger
+than the width of the bands without depth beside nearer objects."""
 _STEPS = np.indices((3, 3)).reshape(2, -1) - 1
 """Row and column offsets (2, 9) from a pixel to itself and its eight neighbors [pixel]."""
 
@@ -93,8 +93,10 @@ def pixel_at(p_C: FloatArray, shape: tuple[int, ...], K: FloatArray) -> IntArray
 def classify_points(points: FloatArray, view: View, margin: float) -> tuple[IntArray, IntArray]:
     """Classifies points by a depth image: occluded, at a surface, in free space, or unobserved.
 
-    Nine pixels around each point are used, so that one pixel without depth, or with the mixed depth
-    of an edge, does not decide.
+    The depths of the point's pixel and its eight neighbors are compared with that of the point. If
+    any is equal up to `margin`, the point is AT; otherwise HIDDEN if any is smaller, and FREE if at
+    least three are larger. Thus a single pixel without depth does not make a point EMPTY, and one
+    with the mixed depth of an edge does not make it FREE.
 
     Args:
         points: (N, 3) points in the world frame [m].
@@ -102,9 +104,10 @@ def classify_points(points: FloatArray, view: View, margin: float) -> tuple[IntA
         margin: maximum difference in depth for which a point counts as at a surface [m].
 
     Returns:
-        (N,) states: HIDDEN (occluded), AT (at a surface), FREE (in free space), OUT (outside the
-        image, or without depth) or EMPTY (without depth, as are the pixels at a distance of 12
-        pixels around it); and (N,) indices of the pixels in the flattened image, -1 outside it.
+        (N,) states: HIDDEN (occluded), AT (at a surface), FREE (in free space), EMPTY (no depth in
+        the nine pixels, nor in eight pixels at a distance of 12 pixels around them, all in the
+        image) or OUT (all other points); and (N,) indices of the points' pixels in the flattened
+        image, -1 outside it.
     """
     p_C = (points - view.X_WC[:3, 3]) @ view.X_WC[:3, :3]
     z, (rows, columns) = view.z, view.z.shape

@@ -11,7 +11,8 @@ from drake_oa.common.messages import FloatArray, IntArray
 def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray, IntArray]:
     """Averages the points of a cloud in each voxel, a cube of a regular grid.
 
-    The grid has a corner at the origin, and up to 2**16 voxels along each half axis.
+    The grid has a corner at the origin of the points' frame. Points must be within 2**16 voxels of
+    the origin along each axis.
 
     Args:
         points: (N, 3) points [m].
