@@ -1,8 +1,9 @@
 """Control layer: inverse dynamics of the arm, in joint space or for the tool.
 
 In: robot_state (positions q and velocities v), and desired position, velocity and acceleration,
-either of the arm's joints or (3,) of the tool point E in the world [m, m/s, m/s^2]. For the tool,
-desired orientation, angular velocity, angular acceleration and posture are optional.
+either of the arm's joints [rad, rad/s, rad/s^2], or (3,) of the tool point E in the world
+[m, m/s, m/s^2]. For the tool, desired orientation, angular velocity, angular acceleration and
+posture are optional.
 Out: actuation [N m], whether torques saturate, and whether the arm is being braked; for the tool
 also tracking error (3,) [m] and orientation error (3,) [rad].
 

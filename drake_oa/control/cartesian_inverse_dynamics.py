@@ -18,8 +18,7 @@ from drake_oa.control.operational_space import operational_space_drive
 from drake_oa.robot.arm import rotation_of, rotation_vector
 
 LARGEST_ERROR = 0.01
-"""Position error of the tool along a world axis above which the controller's integral action pauses
-[m].
+"""Position error of the tool along a world axis above which the integral of this error pauses [m].
 
 A larger error is probably not caused by errors of the robot's model, but by contact or saturation.
 """
@@ -79,24 +78,26 @@ class CartesianInverseDynamics(InverseDynamics):
     Under a constant disturbance d, such as a model error, the position error e obeys
     e'' + kd e' + kp e = d and would remain at d / kp. Integral action removes this error:
     `ki_position` times the integral of e is added to the desired acceleration. So that the force of
-    a blocked tool does not grow, the integral pauses while the error exceeds `LARGEST_ERROR`, and
-    the added acceleration is limited to `LARGEST_ACCELERATION`.
+    a blocked tool does not grow, the integral pauses along each world axis on which the error
+    exceeds `LARGEST_ERROR`, and the added acceleration is limited to `LARGEST_ACCELERATION` along
+    each axis. The orientation error has no integral action.
 
     With the index d for desired quantities of the tool (position p, velocity v, acceleration a,
-    rotation R, angular velocity w and acceleration alpha), the task acceleration is
-    A_c = (alpha_c, a_c) with
+    rotation R, angular velocity w and angular acceleration alpha), the commanded acceleration of
+    the tool is A_c = (alpha_c, a_c) with
 
         a_c = a_d + kd_position (v_d - v) + kp_position (p_d - p) + ki_position int (p_d - p) dt,
         alpha_c = alpha_d + kd_orientation (w_d - w) + kp_orientation log(R_d R^T),
 
-    and the posture acceleration
+    where int is the integral over time. With the arm's joint positions q, the acceleration of the
+    joints toward the nominal posture is
 
-        a_0 = kp_posture (q_posture - q) + kd_posture (v_posture - v).
+        a_0 = kp_posture (q_posture - q) + kd_posture (dq_posture/dt - dq/dt).
 
     With the arm's mass matrix M, gravity and velocity terms h, and the Jacobian J of the tool, the
     torques of the arm are
 
-        tau = M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt v - J a_0) + h,
+        tau = M a_0 + J^T (J M^-1 J^T)^-1 (A_c - dJ/dt dq/dt - J a_0) + h,
 
     where the inverse of J M^-1 J^T is damped near singularities. a_0 acts in the null space.
     """

@@ -32,7 +32,7 @@ from drake_oa.robot.config import Gains
 
 _logger = logging.getLogger("drake_oa")
 LARGEST_ERROR = 0.02
-"""Position error of a joint above which the controller's integral action pauses [rad].
+"""Position error of a joint above which the integral of this error pauses [rad].
 
 With a larger error, contact probably blocks the arm."""
 LARGEST_ACCELERATION = 4.0
@@ -101,7 +101,7 @@ class InverseDynamics(LeafSystem):
 
     largest_error: FloatArray | float
     """Magnitude of a component of the control error above which the integral of this component
-    pauses [m or rad]."""
+    pauses [m or rad]; 0: the component has no integral action."""
     max_correction: float
     """Maximum acceleration that integral action adds to each component of the controlled motion
     [m/s^2 or rad/s^2]."""
@@ -198,7 +198,11 @@ class InverseDynamics(LeafSystem):
         """
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
-        """Updates the integral of the error, and logs the invalid inputs when braking begins."""
+        """Updates the integral of the error, and logs when braking begins.
+
+        The message names the inputs that are not finite or not below `LARGEST_STATE` or, without
+        such inputs, a quaternion that is zero.
+        """
         command, state = self._evaluate(context), context.get_discrete_state_vector().value()
         integrand = np.where(np.abs(command.error) <= self.largest_error, command.error, 0.0)
         correction = state[:-1] + self._period * self._gains.ki_position * integrand
