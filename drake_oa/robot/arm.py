@@ -34,9 +34,12 @@ PULL = 20.0
 over the duration of the motion) [-]. At 20, the distance to the nominal posture decreases to 1 / e
 in 1 / 20 of the motion."""
 _TRACKING_DAMPING, _CORRECTION_DAMPING = 1e-4, 1e-7
-"""Damping of two kinds of inverse-kinematics steps when an arm tracks a tool path [m^2]: of the
-first step to each tool pose, and of the corrective steps of an arm with more than six joints. At
-1e-4, an error of 1 cm moves the joints by at most 0.5 rad in a step, even at a singularity."""
+"""Damping of two kinds of inverse-kinematics steps when an arm tracks a tool path [m^2].
+
+_TRACKING_DAMPING is that of the first step to each tool pose and, for an arm of six joints, of the
+corrective steps: an error of 1 cm moves the joints by at most 0.5 rad in a step, even at a
+singularity. _CORRECTION_DAMPING is that of the corrective steps of an arm with more joints, and the
+minimum damping of the inverse kinematics."""
 _MAX_CORRECTIONS, _POSE_TOLERANCE = 4, 1e-4
 """Maximum number of corrective inverse-kinematics steps per tool pose of a tracked path, and pose
 error below which these steps end (largest element of the tool's rotation vector [rad] and
@@ -214,8 +217,8 @@ def check_actuated(plant: MultibodyPlant) -> None:
 
 
 def axis_frame(joint: RevoluteJoint) -> RigidTransform:
-    """Returns the pose, in the child body of a revolute joint, of a frame whose z axis is the joint
-    axis.
+    """Returns the pose X_BJ of a revolute joint's frame J in the child body B of the joint: origin
+    of the joint, with the z axis along the joint axis.
     """
     X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
     return X_BM @ RigidTransform(
@@ -576,8 +579,8 @@ def joint_margins(q_start: FloatArray, X_WE: FloatArray, pull: float, chain: Cha
 def inverse_kinematics(
     chain: Chain, X_WE: FloatArray, near: FloatArray, *, seeds: int = 32, seed: int = 0
 ) -> FloatArray:
-    """Computes distinct configurations (m, n) of an arm that reach a pose of the tool, in order of
-    distance from the configuration `near` [rad].
+    """Computes distinct configurations (m, n) [rad] of an arm that reach a pose of the tool, in
+    order of Euclidean distance from the configuration `near`.
 
     The result has no rows if the pose cannot be reached. The same arguments give the same
     configurations. An arm of seven joints has infinitely many solutions; the configurations are
@@ -617,8 +620,8 @@ def solve_tool_pose(
         q_seed: (nq,) configuration that is the seed of the search [rad, m].
 
     Raises:
-        ValueError: with the text "out of reach: ..." if no solution is found, or if a joint that
-            moves the tool is not revolute.
+        ValueError: if no solution is found, with a text that begins with "out of reach:", or if a
+            joint that moves the tool is not revolute.
     """
     chain = make_chain(plant, plant.GetFrameByName(tool_frame), q_seed)
     near, target = kernel_arrays(q_seed[chain.q_index], X_WE.GetAsMatrix34())

@@ -10,7 +10,7 @@ from drake_oa.common.config import BLOCK, Angles, Tagged, Vector3, length
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
 _Speed = Annotated[float, Field(gt=0.0, le=100.0)]
-"""Type of the maximum speed of a revolute joint [rad/s]."""
+"""Type of the maximum speed of a revolute joint, above 0 and at most 100 [rad/s]."""
 
 
 def _check_stable(ki: float, info: ValidationInfo) -> float:
@@ -71,15 +71,15 @@ class Gains:
     """Derivative gain of the error from the nominal posture, in the null space of the tool's motion
     [1/s]. Raising it increases the damping."""
     max_effective_mass: float = Field(default=100.0, gt=0.0, le=1e12)
-    """Effective mass of the tool in any direction above which the inverse of the Jacobian is damped
-    [kg]. The effective mass grows near singularities. Raising the limit gives exact tracking closer
-    to singularities, with faster joints."""
+    """Effective mass of the tool in a direction above which the force that accelerates the tool in
+    this direction is damped [kg]. The effective mass grows near singularities. Raising the limit
+    gives exact tracking closer to singularities, with faster joints."""
     rotation_length: float = Field(default=0.25, gt=0.0, le=10.0)
-    """Length that converts rotations of the tool to distances, so that rotational and translational
-    directions of a task are comparable [m]. Raising it gives rotations more weight."""
+    """Length that converts rotations of the tool to distances, so that `max_effective_mass` applies
+    to rotations, too [m]. Raising it gives exact tracking of rotations closer to singularities."""
     kd_stop: float = Field(default=10.0, gt=0.0, le=1e4)
-    """Damping of each joint that brakes the arm while the control law cannot be evaluated [1/s].
-    Raising it stops the arm sooner."""
+    """Damping of each joint that brakes the arm while the torques of the control law are not
+    finite, because an input is not [1/s]. Raising it stops the arm sooner."""
 
 
 @dataclass(config=BLOCK)

@@ -298,8 +298,9 @@ def _check_joints(plant: MultibodyPlant, arm: Sequence[RevoluteJoint]) -> None:
         arm: joints of the arm, from base to tool.
 
     Raises:
-        ValueError: if no joint moves the tool, if the joints of the arm are not the first ones, or
-            if a joint has no actuator or no speed, or moves links without mass.
+        ValueError: if no joint moves the tool, if the joints of the arm are not the first ones of
+            the plant, if a joint has no actuator or a speed limit of 0, or if the child link of a
+            joint has no mass, together with the links that are welded to it.
     """
     if not arm:
         raise ValueError("no joint between robot.base_link and robot.hand_link moves")

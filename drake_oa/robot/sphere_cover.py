@@ -43,8 +43,9 @@ _N_SURFACE_POINTS = 600
 must cover."""
 _EDGE_SPACING = 2.7
 """Ratio of the lattice spacing of candidate sphere centers, before it is divided by 1, 2 or 3, to
-the requested protrusion of the spheres from the body [-]. The spacing is larger if there would be
-too many centers."""
+the requested protrusion of the spheres from the body [-]. Below 2 sqrt(2), spheres along the edge
+of a box cover the edge. The spacing is larger if there would be more than `_MAX_CENTERS` centers.
+"""
 _MAX_ITERATIONS = 4
 """Maximum number of times that the spheres covering a body are selected again, with uncovered
 points of the body added to the sample points; then the spheres grow until they cover it."""
@@ -255,14 +256,14 @@ def _lattice(
 
 def _below_surface(geometry: CollisionGeometry, depth: float, count: int) -> FloatArray:
     """Computes candidate sphere centers (K, 3) below the surface of a shape, in the frame of the
-    body: surface points, moved by a depth toward their mean [m].
+    body: points of the surface, moved by a depth toward the mean of these points [m].
 
     The result is empty for spheres, capsules and boxes, because lattices in these shapes already
     contain such points.
 
     Args:
         geometry: shape.
-        depth: distance by which the points are moved [m].
+        depth: distance by which the points are moved, at most to the mean [m].
         count: approximate number of points.
     """
     if geometry.kind == PRIMITIVE and not geometry.size[4]:
@@ -406,8 +407,8 @@ def _sample_shapes(
 
 
 def _lattice_step(geometries: Sequence[CollisionGeometry], count: int) -> float:
-    """Computes the spacing of a point lattice that has about `count` points in the bounding boxes
-    of the shapes [m].
+    """Computes the spacing of a point lattice that has about twice `count` points in the bounding
+    boxes of the shapes, not counting spheres and capsules [m].
     """
     volume = sum(
         float(np.prod(2.0 * geometry.half_extents))

@@ -238,8 +238,9 @@ def _bounding_ball(centers: FloatArray, radii: FloatArray) -> FloatArray:
     """Computes center and radius (4,) of a ball that encloses K balls with centers (K, 3) and radii
     (K,) [m].
 
-    The ball is approximately the smallest: the center moves toward the farthest ball by steps of 1
-    / (i + 2) (M. Badoiu and K. L. Clarkson, Smaller core-sets for balls, 2003).
+    The ball is approximately the smallest: in iteration i = 0, 1, ..., its center moves by 1 / (i +
+    2) of the way to the center of the ball that extends farthest from it (M. Badoiu and K. L.
+    Clarkson, Smaller core-sets for balls, 2003).
     """
     middle = centers.mean(axis=0)
     for i in range(1 + _BALL_ITERATIONS):
@@ -260,10 +261,11 @@ def _filter_pairs(
     far their spheres may overlap (`allowance`).
 
     Random configurations are sampled, as in MoveIt's setup assistant. If the spheres of a pair
-    overlap at a configuration, Drake's SceneGraph computes the distance of the exact shapes. The
-    allowance is positive only for a pair whose spheres often overlap without contact of the shapes.
-    With delta, the distance of the exact shapes minus the distance of the spheres at these
-    configurations, it is
+    overlap at a configuration, Drake's SceneGraph computes the distance of the exact shapes. A pair
+    whose shapes are in contact at 95 % or more of the configurations is removed. The allowance is
+    positive only if the spheres overlap without contact of the shapes at 2 % or more of them. With
+    delta, the distance of the exact shapes minus the distance of the spheres at the configurations
+    with such an overlap, it is
 
         max(0, min delta - (5 % quantile of delta - min delta))
 

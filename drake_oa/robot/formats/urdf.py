@@ -27,10 +27,11 @@ def convert_urdf(model: Element, find: Callable[[str], Path]) -> None:
     """Converts a URDF model in place so that Drake can read it.
 
     - Meshes that Drake cannot read are converted by `convert_to_objs`.
-    - If no joint has a transmission, each independent joint gets an actuator, with the effort limit
-      of the joint.
+    - If no joint has a transmission, each revolute or prismatic joint that does not mimic another
+      one gets an actuator, with the effort limit of the joint.
     - A rotational joint that mimics another joint, and the mimicked joint, are fixed at zero. Such
-      joints form a gripper's linkage, but the controller holds each joint of a hand separately.
+      joints form a gripper's linkage; the controller would not move them together, because it
+      holds each joint of a hand separately.
     - The link `world` and the joint that fixes the base to it are removed: the scenario sets the
       base pose.
 
