@@ -1,8 +1,8 @@
 """Safety layer: joint commands of the arm, along the verified motion or on an evasive maneuver.
 
 The verified motion is the joint motion q(s) that MotionVerifier predicted and checked by
-simulation. Normalized time s is time over the demonstrated duration T times the temporal scaling
-tau. The robot has m joints, and its arm n joints.
+simulation. Normalized time s is time divided by tau T, with the temporal scaling tau and the
+demonstrated duration T. The robot has m joints, and its arm n joints.
 
 In:  robot_state (2m,) [rad, m, rad/s, m/s]; desired motion of the tool; desired_posture (2n,)
      [rad, rad/s]; policy_state `PolicyState`; motion `PlannedMotion`, the verified motion;
@@ -20,9 +20,9 @@ Method
     tool at the desired pose. Otherwise a decision compares it with slower motions and with evasive
     maneuvers. A maneuver is a joint trajectory of two legs; in a leg, every joint moves to a target
     and rests there. It is predicted over 1.34 s, among obstacles at constant velocity. The phase of
-    the movement primitive rests during a maneuver. Old observations and saturated torques slow the
-    motion down. A contact, detected by the joint error, restarts the command at the measured
-    configuration.
+    the movement primitive rests during a maneuver. Saturated torques, and an observation older than
+    `stale_frames` periods (2.5 by default), slow the motion down. A contact, detected by the joint
+    error, restarts the command at the measured configuration.
 
 Modules: `motion_guard` (system), `maneuvers` (decision), `joint_motions` (kernels of joint
 trajectories), `passive_safety` (limits of the speed toward moving obstacles and unobserved space),

@@ -115,19 +115,19 @@ def advance_leg(
 
 
 _CONVERGENCE = 30.0
-"""Maximum rate at which the error between the commanded joints and a moving joint-space path is
+"""Maximum rate at which the error between the commanded joints and a desired joint trajectory is
 reduced [1/s]."""
 
 
 def approach(
     x: FloatArray, path: FloatArray, speed: FloatArray, acceleration: float, step: float
 ) -> FloatArray:
-    """Computes the joint state after one time step in which the joints approach a moving path, with
-    bounded speed and acceleration.
+    """Computes the joint state after one time step in which the joints converge to a desired joint
+    trajectory, with bounded speed and acceleration.
 
     Args:
         x: (2n,) current positions [rad] and velocities [rad/s].
-        path: (2n,) positions [rad] and velocities [rad/s] of the path after the step.
+        path: (2n,) desired positions [rad] and velocities [rad/s] after the step.
         speed: (n,) maximum joint speeds [rad/s].
         acceleration: maximum joint acceleration [rad/s^2].
         step: duration of the step [s].

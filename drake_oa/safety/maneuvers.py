@@ -75,26 +75,26 @@ _RESTING_WEIGHT = 2.0
 """Weight w_r of proximity to resting obstacles in the cost from which the motion guard selects a
 trajectory [-]."""
 _TURN_WEIGHT = 0.1
-"""Weight w_o, in the cost of a maneuver, of the angle between the tool and its orientation on the
-verified motion (checked by simulation) [1/rad]."""
+"""Weight w_o, in the cost of a maneuver, of the time integral of the angle between the tool and its
+orientation on the verified motion (checked by simulation) [1/rad]."""
 _TURN_STRIDE = 2
-"""Number of samples of a trajectory between two samples at which the tool's orientation is
-evaluated [-]."""
+"""Interval, in samples of a trajectory, at which the tool's orientation is evaluated [-]; 2: at
+every second sample."""
 _HYSTERESIS = 0.1
 """Maximum reduction of the cost of the maneuver in progress, so that the motion guard selects
 another one only for a clear advantage [s]."""
 _MOVING_CONTACT_DISTANCE = 0.012
 """Distance from the arm to a moving obstacle, beyond the obstacle's padding (position uncertainty),
-below which a predicted trajectory counts as a contact [m]."""
+below which a predicted trajectory counts as a contact, unless the arm is already closer [m]."""
 _RESTING_CONTACT_DISTANCE = 0.004
 """Distance to a resting obstacle below which a predicted trajectory counts as a contact, unless the
-verified motion (checked by simulation) comes closer [m]."""
+arm is already closer, or comes closer on the verified motion (checked by simulation) [m]."""
 _DISTANCE_SLACK = 2e-3
 """Amount by which required distances are lowered below those of the current configuration, so that
 no trajectory starts in contact [m]. Also the tolerance of the maximum angle by which a maneuver
 turns the tool [rad]."""
 _ROUNDING = 1e-6
-"""Minimum amount by which a distance required in a maneuver is below the distance in the current
+"""Amount by which a distance required in a maneuver is lowered if it is the distance in the current
 configuration, so that rounding errors cause no contact [m]."""
 _VERIFIED_SLACK = 5e-3
 """Amount by which distances required from resting obstacles are below those along the verified
@@ -111,21 +111,23 @@ decays while the arm follows this motion [1/s]."""
 _LIMIT_MARGIN = 0.03
 """Minimum distance of the target configurations of maneuvers from the joint limits [rad]."""
 _SPREADS = ((0.15, 0.4, 0.9), (0.4, 1.0), (0.2, 0.5), (0.0,))
-"""Standard deviations of the joint offsets in the targets of four kinds of random maneuvers [rad];
-one value of a kind is drawn for each maneuver.
+"""Standard deviations of the joint offsets in the targets of random maneuvers [rad], a tuple for
+each of four kinds; one value of its kind is drawn for each maneuver.
 
 Offsets of the first kind (in all joints) and the second (in some) are relative to the configuration
 in which the arm comes to rest, those of the third to a point on the way from there to the verified
-motion (checked by simulation). Targets of the fourth are anywhere within the joint limits."""
+motion (checked by simulation). The fourth kind has no offsets: its targets are drawn uniformly
+within the joint limits."""
 _NO_LEGS = Legs(np.zeros((0, 2, 0)), np.zeros((0, 2, 0)), np.zeros(0))
 """Empty set of maneuvers, which are joint motions of two legs each."""
 _N_PARENTS = 8
 """Number of maneuvers of least cost of which the motion guard evaluates random variations, too [-].
 """
 _RETURN_FRACTIONS = (1.0, 0.6, 0.3)
-"""Fractions of the highest speed at which candidate maneuvers return to the verified motion
-(checked by simulation) [-]. In a further candidate, no point of the arm begins to return faster
-than 0.9 `v_unseen`, with the maximum speed `v_unseen` toward unobserved space."""
+"""Fractions of the highest joint speeds with simultaneous arrival, at which candidate maneuvers
+return to the verified motion (checked by simulation) [-]. In a further candidate, no point of the
+arm begins to return faster than 0.9 `v_unseen`, with the maximum speed `v_unseen` toward unobserved
+space."""
 _SLOW_FRACTION = 0.9
 """Ratio of the speed of the arm's fastest point to `v_unseen`, the maximum speed toward unobserved
 space, in two slow candidates: to follow the verified motion (checked by simulation), and to return
@@ -166,9 +168,10 @@ class GuardDecision(Frozen):
         target: (2, n) target configurations of the two legs of a maneuver [rad]; empty: the
             verified motion is followed.
         speed: (2, n) maximum joint speeds in the two legs [rad/s].
-        switch: time at which the second leg starts [s]; inf: the maneuver has one leg.
-        contact: time of the first contact predicted on the verified motion at full speed [s]; inf:
-            no contact.
+        switch: simulation time at which the second leg starts [s]; inf: only the first leg is
+            executed.
+        contact: simulation time of the first contact predicted on the verified motion at full speed
+            [s]; inf: no contact, or the arm is not on this motion.
         obstacle: label of the moving obstacle that is nearest to the arm; "": no obstacle moves.
         claim: claim of passive motion safety that the trajectory of least cost violates, before
             costs of violations are added: "A" (limit of the speed toward moving obstacles), "B"
@@ -219,16 +222,18 @@ class GuardInputs(Frozen):
     Attributes:
         begin: time at which the decision becomes active [s].
         q, v: (n,) predicted positions [rad] and velocities [rad/s] of the joints at `begin`.
-        q_path: (n,) configuration on the verified motion at the current phase of the movement
-            primitive [rad].
+        q_path: (n,) configuration on the verified motion to which maneuvers return [rad]: `q` while
+            the arm follows this motion; during a maneuver, that at the resting phase of the
+            movement primitive.
         is_on_path: whether the arm follows the verified motion, or rests on it.
-        s: predicted normalized time on the verified motion at `begin`; if the arm is late on this
-            motion, that of the sample nearest to q.
+        s: predicted normalized time on the verified motion at `begin`, from `time_on_path`; if the
+            sample of the motion nearest to q is less than half as far from q as the configuration
+            at the predicted time, the time of this sample.
         rate, full_rate: ds/dt at the current and at full speed [1/s].
         motion: verified motion; without configurations: no motion is verified.
         scene: collision scene, all collision geometry except the robot's.
         speed_fraction: fraction of the maneuvers' joint speed limits that may be used; 1 unless a
-            contact occurred a short time ago.
+            contact occurred less than `contact_time` (0.5 s by default) ago.
         decision_count: number of previous decisions, which seeds the random candidates.
         free_space: space observed as free; None: all space outside collision geometry.
         may_move: (K,) whether each geometry of the scene moves, or moved less than 2 s ago.
@@ -388,6 +393,10 @@ class GuardSearch:
                 first the slow and the fastest return to the verified motion.
             q: (N, T, n) configurations along the trajectories [rad].
             cost: (N,) costs of the trajectories without the costs of violated claims [s].
+
+        Returns:
+            Decision to execute the selected trajectory; its `claim` is that which the trajectory of
+            least `cost` violates.
         """
         inputs, min_cost = model.inputs, math.inf
         claim: Claim = ""
@@ -447,11 +456,14 @@ class GuardSearch:
         )  # fmt: skip
 
     def _evaluate(self, model: _GuardModel, q: FloatArray) -> MotionCosts:
-        """Computes the costs of contact and proximity of N trajectories.
+        """Computes the costs of contact and proximity of N trajectories, without their weights.
 
         Args:
             model: collision models of the decision.
             q: (N, T, n) configurations along the trajectories [rad].
+
+        Returns:
+            Costs and times of the first contact, (N,) each [s].
         """
         margin = self._parameters.margin_moving
         return evaluate_motions(model.resting, model.moving, q, self._interval, margin)
@@ -471,8 +483,11 @@ class GuardSearch:
         return cost + _RESTING_WEIGHT * costs.near_resting
 
     def _maneuver_cost(self, model: _GuardModel, q: FloatArray) -> FloatArray:
-        """Computes the costs (N,) [s] of N maneuvers: the sum of the costs of contact, proximity,
-        turning the tool, and delay; inf if a maneuver turns the tool beyond its limit.
+        """Computes the costs (N,) [s] of N maneuvers: the weighted sum of the costs of contact,
+        proximity, turning the tool, and delay.
+
+        The cost is inf if the tool turns away from its orientation on the verified motion (checked
+        by simulation) by more than `turn_limit`, or than the present angle if that is larger.
 
         Args:
             model: collision models of the decision.
@@ -488,14 +503,15 @@ class GuardSearch:
         """Computes the costs (N,) of the delay of N maneuvers, the time lost on the verified motion
         (checked by simulation) [s].
 
-        With the time d_i(t) in which joint i can return to the verified motion at its maximum speed
-        in maneuvers, and the horizon H, the cost is
+        With the time d_i(t) in which joint i can move from its position at time t to `q_path`, the
+        configuration to return to, at its maximum speed in maneuvers, and the horizon H, the cost
+        is
 
             H + max_i d_i(H) + 0.3 mean_i d_i(H) + integral of max_i d_i(t) dt / (1 second)
 
         Args:
             q: (N, T, n) configurations along the maneuvers [rad].
-            inputs: inputs of the decision.
+            inputs: inputs of the decision, of which `q_path` is used.
         """
         deviation = np.abs(q - inputs.q_path) / self.speed
         return_time = deviation.max(axis=2)
@@ -567,9 +583,9 @@ class GuardSearch:
 
     def stop(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """Computes the configuration q + sign(v) v^2 / (2 a) (n,) [rad] in which all joints rest
-        after braking at the acceleration a.
+        after braking at the maximum joint acceleration a of maneuvers.
 
-        The configuration is within the joint limits.
+        The configuration is clipped to a range that ends 0.03 rad before the joint limits.
 
         Args:
             q, v: (n,) positions [rad] and velocities [rad/s] at which braking begins.
@@ -583,7 +599,7 @@ class GuardSearch:
         Args:
             maneuver: maneuver of two legs.
             x: (2n,) positions [rad] and velocities [rad/s].
-            time: time at the start of the step [s].
+            time: simulation time at the start of the step [s].
         """
         q, v = np.split(x, 2)
         leg = int(time >= maneuver.switch)
@@ -592,19 +608,19 @@ class GuardSearch:
 
     def brake(self, q: FloatArray, v: FloatArray, *, speed_fraction: float = 1.0) -> GuardDecision:
         """Returns the maneuver in which all joints brake to rest from positions q (n,) [rad] and
-        velocities v (n,) [rad/s], within a fraction of the speed limits.
+        velocities v (n,) [rad/s], at most at a fraction of the maneuvers' maximum joint speeds.
         """
         q_rest, speed = self.stop(q, v), speed_fraction * self.speed
         return GuardDecision("brake", 0.0, np.array([q_rest, q_rest]), np.array([speed, speed]))
 
     def _candidates(self, maneuvers: list[GuardDecision], inputs: GuardInputs) -> Legs:
         """Generates the candidate maneuvers of a decision: given ones, the return to the verified
-        motion (checked by simulation) at several speeds and times, and random ones.
+        motion (checked by simulation), and random ones.
 
-        The target of a random maneuver is near the configuration in which the arm comes to rest, in
-        all joints or in some; near the motion from there to the verified motion; or anywhere within
-        the joint limits. Half of the random maneuvers return to the verified motion in the second
-        leg.
+        The return begins at once, at one of four speeds, or after 0.3 s or 0.6 s of braking. The
+        target of a random maneuver is near the configuration in which the arm comes to rest, in all
+        joints or in some; near the motion from there to the verified motion; or anywhere within the
+        joint limits. Half of the random maneuvers return to the verified motion in the second leg.
 
         Args:
             maneuvers: first candidates: the active maneuver, if any, and braking.

@@ -86,11 +86,12 @@ _POSE_TOLERANCE = 0.03
 """Maximum error between desired and commanded tool pose at which an arm that was stuck may follow
 the desired motion again: largest element of position [m] and rotation vector [rad]."""
 _FEEDBACK_FRACTION = 0.6
-"""Ratio of two thresholds that detect contact [-]: that of the feedback torque, as the joint error
-at which the position gain alone gives this torque, to that of the joint error itself."""
+"""Ratio of the thresholds of two errors above which a contact is detected [-]: that of
+|e + (kd / kp) de/dt|, which is proportional to the feedback torque, to that of |e|, with the
+position error e of a joint and the gains kp and kd of the joint controller."""
 _MAX_PERIODS = 3.0
-"""Number of periods without a newer decision of the motion guard after which the motion is held, or
-a maneuver is replaced by braking [-]."""
+"""Number of decision periods without a newer active decision of the motion guard, after which the
+motion is held, or a maneuver is replaced by braking [-]."""
 _PAUSE = 2.0
 """Time for which an obstacle that has come to rest still counts as moving when the speed of the arm
 toward it is limited (claim (A) of passive motion safety), because it may move again [s]."""
@@ -111,16 +112,18 @@ class GuardState(Frozen):
         x: (2n,) commanded joint positions [rad] and velocities [rad/s] at the end of the step.
         acceleration: (n,) commanded joint acceleration during the step [rad/s^2].
         path: (2n,) joint positions [rad] and velocities [rad/s] on the verified motion at the end
-            of the step.
+            of the step; those of the command at rest if the arm is stuck.
         shift_velocity: (3,) velocity in the world that moves the desired position to the tool of a
             stuck arm [m/s]; 0 otherwise.
-        pending: active decision of the guard, and the decision in progress.
-        stuck_since: time since which the arm makes no progress toward the verified motion [s]; inf:
-            it makes progress, or is on this motion.
-        min_deviation: minimum joint deviation from the verified motion since `stuck_since` [rad].
+        pending: active decision of the guard, and the next one while it is computed.
+        stuck_since: time of the last progress of a maneuver toward the verified motion [s]; the arm
+            is stuck 1 s later. inf: no maneuver is active, it has reached this motion, or the wait
+            of a stuck arm has ended.
+        min_deviation: maximum joint deviation from the verified motion at `stuck_since`, from which
+            progress is measured [rad].
         expiry: time after which the active decision is too old, so that the arm comes to rest [s].
-        slow_until: time until which, after a contact, maneuvers are slow and the verified motion is
-            held [s].
+        slow_until: time until which, after a contact, maneuvers move no point of the arm faster
+            than `v_unseen`, and the verified motion is held [s].
         decision_count: number of decisions so far.
         supervision: state of the supervisor, which scales the speed of the motion.
         last_moved: label of each geometry that moved less than 2 s ago -> stamp of the last
@@ -226,7 +229,8 @@ class MotionGuard(LeafSystem):
 
     - robot_state: (2m,) positions and velocities of the robot's m joints [rad, m, rad/s, m/s]; the
       arm has n of these joints.
-    - policy_state: abstract `PolicyState` of the movement primitive: its phase, speed and holds.
+    - policy_state: abstract `PolicyState` of the movement primitive: its phase, its rate ds/dt, and
+      the reason if it is held.
     - desired_position, desired_velocity: (3,) position and velocity of the tool point in the world
       frame [m, m/s].
     - desired_orientation: (4,) quaternion w, x, y, z of R_WE.
@@ -257,7 +261,8 @@ class MotionGuard(LeafSystem):
       tool, in the world frame [rad].
     - guard_action: (1,) action of the active decision: 0 follow the verified motion at full speed,
       1 slow (follow it at reduced speed), 2 wait (rest on it), 3 evade, 4 brake.
-    - guard_contact: (1,) time of the first contact predicted on the verified motion [s]; inf: none.
+    - guard_contact: (1,) simulation time of the first contact predicted on the verified motion [s];
+      inf: no contact, or the arm is not on this motion.
     - guard_claim: (1,) claim of passive motion safety that limits the speed: 0 none, 1 claim (A)
       about moving obstacles, 2 claim (B) about unobserved space.
 
@@ -475,7 +480,9 @@ class MotionGuard(LeafSystem):
         """Returns the guard state with the expiry time of a decision of the guard that has just
         become active.
 
-        A braking maneuver is recomputed from the current joint state.
+        The decision expires after three decision periods and the compute latency; a decision to
+        rest on the verified motion (checked by simulation) never expires. A braking maneuver is
+        recomputed from the current joint state.
         """
         if state.decision.action == "brake":
             # The arm would overshoot a target predicted for another state, and return to it.
@@ -562,7 +569,7 @@ class MotionGuard(LeafSystem):
             context: context of the system.
             state: state of the guard.
             time: current time [s].
-            has_moving: whether an obstacle moves.
+            has_moving: whether an obstacle moves; if so, an arm in motion does not become stuck.
 
         Returns:
             State of the guard after the step.
@@ -623,8 +630,8 @@ class MotionGuard(LeafSystem):
                 2 s ago, any arm counts as making progress, because it may wait for this obstacle.
 
         Returns:
-            Time since which there is no progress [s], inf if the arm is on the motion; and minimum
-            deviation since this time [rad].
+            Time of the last progress [s], inf if the arm is within 0.01 rad of the motion or has
+            been stuck for 5 s; and the deviation at this time, or `deviation` for inf [rad].
         """
         has_waited = time - state.stuck_since > _PROGRESS_TIMEOUT + _MAX_WAIT
         if has_waited or deviation <= ON_PATH_DEVIATION:

@@ -7,12 +7,12 @@ than V can touch sphere i at time t only if at s it was within the distance
 
     rho_i(t) = r_i + V (t - s)
 
-of the position c_i(t). Let d_i(t) be the distance of c_i(t) to the obstacles that move, or
-have come to rest a short time before s, at their positions at s. A trajectory violates claim
+of the position c_i(t). Let d_i(t) be the distance of c_i(t) to the obstacles that move, or have
+come to rest less than 2 s before s, at their positions at s. A trajectory violates claim
 
     (A)  if d_i(t) <= rho_i(t) and d_i(t) decreases faster than 0.02 m/s
     (B)  if u_i(t) . n > v_unseen for a unit vector n from c_i(t) to a point within rho_i(t) that is
-         neither observed as free at s nor occupied by a known obstacle or the arm
+         neither observed as free at s nor within 1 cm of a geometry of the scene or of the arm
 
 at some time until the arm rests. Hence a sphere that an obstacle slower than V may reach is at rest
 or moves away. The arm does not enter unobserved space faster than v_unseen. A point is observed as
@@ -93,7 +93,8 @@ def violated_claim(
             claim B always holds.
         V: maximum speed of obstacles [m/s].
         v_unseen: maximum speed toward unobserved space [m/s].
-        may_move: (K,) geometries to which claim A applies; None: those that move.
+        may_move: (K,) whether claim A applies to each of the scene's K geometries; None: it applies
+            to those that move.
     """
     geometries = scene.geometries
     may_move = geometries.moving if may_move is None else may_move

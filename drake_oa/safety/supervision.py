@@ -160,8 +160,8 @@ def supervise(
         limits: limits of the monitors, at least one.
         time: current time [s].
         elapsed: time since the previous step [s].
-        is_waiting: whether the movement primitive is held for another reason; then a hold does not
-            become a stop.
+        is_waiting: whether the movement primitive is held for a reason other than its speed scale,
+            such as unobserved obstacles; then a hold does not become a stop.
     """
     tightest = min(limits, key=lambda limit: limit.scale)
     was_held = previous.action in ("hold", "stop")
@@ -201,10 +201,10 @@ def supervise(
 def monitor_observation(
     scene: CollisionScene, time: float, max_fresh_age: float, max_age: float
 ) -> SpeedLimit:
-    """Limits the speed of the motion by the age of the last valid observation of obstacles.
+    """Limits the speed of the motion by the age of the last observation of obstacles.
 
-    The limit falls linearly with the age from full speed at `max_fresh_age`, but not below 0.1.
-    Above `max_age` it is 0.
+    The limit falls linearly with the age from full speed at `max_fresh_age` to 0 at `max_age`, but
+    not below 0.1 of full speed. Above `max_age`, or without an observation, it is 0.
 
     Args:
         scene: collision scene of the observation.
@@ -293,7 +293,8 @@ def monitor_torque(
     """Limits the speed of the motion while joint torques are saturated; afterwards the limit rises
     linearly to full speed.
 
-    The limit is multiplied by 0.7 for each 0.1 s of saturation, but not below 0.1 of full speed.
+    The limit is multiplied by 0.7 for each 0.1 s of saturation, but not below 0.1 of full speed. It
+    rises at a rate of full speed per 0.3 s.
 
     Args:
         state: state of the supervisor.
