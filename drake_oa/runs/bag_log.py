@@ -6,9 +6,11 @@ topic               type                            content
 /obstacles          visualization_msgs/Marker       observed obstacles, dilated by the tool
 /tool_clearance     std_msgs/Float64                true distance of the tool to obstacles [m]
 /robot_clearance    std_msgs/Float64                true distance of the robot to obstacles [m]
-/rosout             rcl_interfaces/Log              layer of each decision ("verification" or
-                                                    "guard"), notes that explain holds, reasons for
-                                                    which the motion guard slows or stops the arm
+/rosout             rcl_interfaces/Log              layer of each decision: "verification" (selects
+                                                    the motion) or "guard" (selects maneuvers);
+                                                    notes that explain why the motion is held;
+                                                    reasons for which the motion guard slows or
+                                                    stops the arm
 /log/<key>          std_msgs/Float64                keys of the log with one value an instant
 /log/<key>          std_msgs/Float64MultiArray      keys of the log with several values an instant
 /log/constants      std_msgs/String                 all other keys as JSON; null: not finite

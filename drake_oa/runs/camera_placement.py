@@ -1,5 +1,5 @@
 """Check of a scenario's cameras: fraction of the space near the arm that no camera observes to be
-free, and a better camera pose.
+free, and a pose of the first camera for which this fraction is smaller.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ def _motion_space(scenario: Scenario) -> tuple[FloatArray, list[FloatArray], Flo
     """Samples the space near the arm along a scenario's nominal motion.
 
     Returns:
-        T configurations (T, n) of the robot from start to goal [rad, m]; for each of them, the grid
-        points (N, 3) within 0.4 m of the arm's surface, in the world [m]; and the mean position
-        (3,) of the arm over all configurations, in the world [m].
+        T configurations (T, n) of the robot from start to goal [rad, m]; for each of them, grid
+        points (N, 3) in the space that `unobserved_near_arm` defines, in the world [m]; and the
+        mean position (3,) of the arm over all configurations, in the world [m].
     """
     robot = robot_of(scenario)
     robot_plant, spheres = make_robot_plant(robot), covered_arm(robot).arrays
@@ -81,6 +81,9 @@ def observed_free_space(
         source: perception block of the scenario.
         configs: configurations of the cameras.
         images: rendered depth image (H, W) [m] and pose X_WC of each camera.
+
+    Returns:
+        Observed space, whose method `contains` checks which points in the world are in it.
     """
     too_far = np.inf if isinstance(source, DepthCamera) and source.noise is None else np.nan
     views = []
@@ -103,7 +106,8 @@ def _render(
         poses: poses X_WC of the camera; empty: only the pose in `config`.
 
     Yields:
-        For each pose, a list of the images in the T configurations.
+        For each pose, a list of T items, one for each configuration: the depth image (H, W) [m]
+        and the pose X_WC of the camera.
     """
     plant, builder = MultibodyPlant(time_step=scenario.plant_step), DiagramBuilder()
     scene_graph = SceneGraph()
@@ -153,9 +157,9 @@ def unobserved_near_arm(scenario: Scenario) -> float:
     """Computes the fraction of the space near the arm, along the nominal motion, that none of the
     cameras that perception uses observes to be free.
 
-    The space is that within 0.4 m of the arm's surface and, if there is a table, from the table to
-    0.75 m above it. The fraction, in [0, 1], is the mean over several configurations of the arm.
-    Images have no noise; obstacles are at their initial poses.
+    The space is outside the arm and within 0.4 m of its surface. If there is a table, only points
+    from the table to 0.75 m above it belong to the space. The fraction, in [0, 1], is the mean over
+    five configurations of the arm. Images have no noise; obstacles are at their initial poses.
 
     Args:
         scenario: scenario with a robot and perception by cameras.
@@ -179,7 +183,7 @@ def _unobserved_fractions(
         poses: poses X_WC of the first camera; empty: only the pose in its configuration.
 
     Yields:
-        For each pose, the fraction of the points, in [0, 1].
+        For each pose, the fraction in [0, 1], as the mean over the T configurations.
     """
     source: Any = scenario.perception
     configs = camera_configs(scenario, source)

@@ -107,8 +107,8 @@ def _load_kernels() -> None:
     the arm moves would delay decisions by seconds.
 
     The function simulates a shipped scenario in which an obstacle moves toward the arm. The motion
-    is fast and its requested clearance cannot be reached, so that all methods of the planner and
-    the motion guard are used.
+    is fast and its requested clearance cannot be reached, so that all compiled functions
+    of the planner and the motion guard are called.
     """
     overrides = ["task.clearance=0.35", "task.duration=2.5", "perception.noise=null"]
     with quiet():  # Messages on this motion are not about the real arm.
@@ -159,7 +159,7 @@ def _with_events(log: MotionLog, link: RobotLink) -> MotionLog:
     the command streamer.
 
     The command streamer is the process that sends positions to the arm. Its events are that the arm
-    stopped, holds its position, or resumed the motion.
+    stopped, holds its position, or resumed the motion; the reason of their notes is "speed_scale".
 
     Args:
         log: log of the commanded motion.
@@ -176,8 +176,9 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
     """Creates the log of the simulated arm of a station (`drake-oa station`), which another process
     commands by messages.
 
-    The log contains the true states of the arm. Observations and decisions are known only to the
-    process that sent the commands, so their attributes are empty.
+    The log contains the true states of the arm. Its notes are the events of the command validator:
+    the arm begins to follow commands or to hold, or a command is rejected. Only the process that
+    sent the commands has observations and decisions, so their attributes are empty.
 
     Args:
         scenario: scenario of the station.

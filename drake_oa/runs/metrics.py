@@ -38,8 +38,8 @@ class MotionMetrics:
             order of their first contacts.
         initial_contacts: pairs of `contacts` that are in contact at the first instant.
         new_contacts: pairs of `contacts` that begin a contact after the first instant, in the order
-            of these beginnings. A pair of `initial_contacts` that separates and touches again is in
-            both.
+            of these beginnings. A pair that is in contact at the first instant, separates and
+            touches again is in `initial_contacts` and in `new_contacts`.
         self_contacts: names "link - link" of all pairs of the robot's links that are in contact at
             any instant, in the order of their first contacts.
         contact_depth: maximum penetration [m] of each pair of `contacts` and `self_contacts`, by
@@ -72,8 +72,8 @@ Contacts = dict[str, float]
 """Type of the contacts at one instant: maximum penetration [m] of each pair of bodies in contact,
 by the name of the pair."""
 Hits = dict[str, PenetrationAsPointPair]
-"""Type of the points of maximum penetration at one instant, by the name of each pair of bodies in
-contact."""
+"""Type of the penetrations at one instant: Drake's `PenetrationAsPointPair` of maximum depth for
+each pair of bodies in contact, by the name of the pair."""
 
 
 def path_length(path: FloatArray) -> float:
@@ -260,9 +260,11 @@ class ClearanceEvaluator:
         return q_world
 
     def geometries_at(self, time: float) -> CollisionGeometries:
-        """Computes the collision geometries of all bodies except the robot at a simulated time [s].
+        """Computes the collision geometries of all bodies except the robot's at a simulated time
+        [s], with poses in the world.
 
-        Their poses follow the obstacles' trajectories; their velocities are zero.
+        Moving obstacles are at the poses of their trajectories, but have zero velocities in the
+        result.
         """
         self._plant.SetPositions(self._plant_context, self.positions_at(time))
         geometries = []
@@ -300,7 +302,7 @@ class ClearanceEvaluator:
         return speeds, float(self._plant.EvalKineticEnergy(self._plant_context))
 
     def _deepest_hits(self, query: QueryObject) -> tuple[Hits, Hits]:
-        """Finds the point of maximum penetration of each pair of bodies in contact.
+        """Finds the penetration of maximum depth for each pair of bodies in contact.
 
         Penetrations below `MIN_PENETRATION` do not count as contact.
 
@@ -308,7 +310,8 @@ class ClearanceEvaluator:
             query: SceneGraph's QueryObject at the positions of interest.
 
         Returns:
-            Points of pairs "link - object", and points of pairs "link - link" of the robot.
+            Penetrations by the name of the pair: for pairs "link - object", and for pairs
+            "link - link" of the robot. The name of an object is that of its model instance.
         """
         hits: Hits = {}
         self_hits: Hits = {}

@@ -6,12 +6,12 @@ holds the number `SCHEMA_VERSION`. Each motion has one key MOTION/ATTRIBUTE for 
 Texts are string arrays, of dimension 0 for a single text.
 
 W is the world frame (z up), E the tool point, O an obstacle. There are T instants (every 4 ms) and
-F observations of at most M obstacles each. The policy (the movement primitive) has E notes, which
-explain its holds: it rests on its path. The motion guard, which commands the joints, has S changes
-of its action. There are D decisions of the layers that select the motion ("verification") and the
-maneuvers away from obstacles ("guard"). The verified motion is the selected motion, which was
-checked by simulation. nq, nv and nu are the numbers of positions, velocities and actuators of the
-robot, 0 without a robot.
+F observations of at most M obstacles each. In shapes, E is the number of notes with which the
+policy (the movement primitive) explains holds, in which the motion rests on its path. The motion
+guard, which commands the joints, has S changes of its action. There are D decisions of the layers
+that select the motion ("verification") and the maneuvers away from obstacles ("guard"). The
+verified motion is the selected motion, which was checked by simulation. nq, nv and nu are the
+numbers of positions, velocities and actuators of the robot, 0 without a robot.
 
 ====================  =============  ========  ====================================================
 key                   shape          unit      content
@@ -96,9 +96,12 @@ decision_time         (D,)           s         times at which decisions started;
                                                latency is simulated
 decision_latency      (D,)           s         simulated duration of each decision
 decision_layer        (D,)           text      layer that decides: "verification" or "guard"
-event_hold            (E,)           text      reason of the hold from then on: "deciding",
-                                               "speed_scale", "supervisor", "goal" or "obstacles";
-                                               "none": no hold
+event_hold            (E,)           text      reason of the hold from then on: "deciding" (no
+                                               motion is selected yet), "speed_scale" (the speed
+                                               scale is 0), "supervisor" (the motion guard has set
+                                               it to 0), "goal" (the goal is not finite) or
+                                               "obstacles" (not observed, around tool or goal, or
+                                               impassable); "none": no hold
 ended                 ()             text      kind of the termination, a value of `MotionEnd`, such
                                                as "goal"
 ====================  =============  ========  ====================================================
@@ -145,18 +148,20 @@ class MotionEnd(StrEnum):
     GOAL = "goal"
     """Termination because the tool reached the goal."""
     STOPPED = "stopped"
-    """Termination because the motion guard stopped the motion for good."""
+    """Termination because the motion guard stopped the motion, for a reason that persists while the
+    motion is at rest."""
     HELD = "held"
     """Termination because the motion was held, at rest on its path, longer than the maximum hold
-    time of 5 s."""
+    time of 5 s. A hold until the first motion is selected does not count."""
     MISSED = "goal missed"
-    """Termination because the tool was not at the goal at the end of the time in which the motion
-    should arrive."""
+    """Termination because the tool was more than 5 mm from the goal at the normalized time 2.2
+    (1 is the end of the demonstrated motion), or shortly after a later predicted arrival."""
     LEFT = "goal left"
     """Termination at the goal, from which the tool was away again at the end of the simulation, for
     example to evade an obstacle."""
     TIME_LIMIT = "time limit"
-    """Termination because the maximum duration of the motion elapsed."""
+    """Termination because the time limit of the run was reached: 6 demonstrated durations after the
+    last move of the goal, unless another limit was set."""
     INTERRUPTED = "interrupted"
     """Interruption of the run by an exception, by a signal such as Ctrl-C, or by a restart of the
     motion in `drake-oa play`."""

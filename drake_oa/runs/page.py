@@ -151,8 +151,8 @@ class LivePanel:
         self._next, self._state = 0.0, ""
 
     def __call__(self, monitor: MotionMonitor, root: Context, state: str = "") -> None:
-        """Waits while the page needs too long to draw the last frame, and updates the panel every
-        0.1 s of simulated time and at changes of state.
+        """Waits for the page if it needs more than 0.15 s to draw the previous frame, and updates
+        the panel every 0.1 s of simulated time and at changes of state.
 
         Args:
             monitor: monitor of the motion.

@@ -184,9 +184,9 @@ class PlaySession:
         """Reads the controls of the viewer.
 
         Returns:
-            Values of the sliders by name [m, rad]; under "inference" the selected method
-            ("verified", "paper" or "nominal"), and under "has_camera" whether a camera is the
-            source of the obstacles.
+            Values of the sliders of clearance, goal and obstacles by name [m, rad]; under
+            "inference" the selected method ("verified", "paper" or "nominal"), and under
+            "has_camera" whether a camera is the source of the obstacles.
         """
         turn = self._clicks(_NEXT) + _is_paper(self._scenario)
         can_see = isinstance(self._scenario.perception, CameraSource)
@@ -357,8 +357,10 @@ class PlaySession:
         return "paused" if paused else self._monitor.state
 
     def _end_leg(self, reason: str) -> None:
-        """Ends the present motion (leg), if any, and adds its log to `logs`, with the reason if it
-        has not terminated.
+        """Ends the present motion (leg), if any, and adds its log to `logs`.
+
+        Args:
+            reason: reason in the log for the end of a motion that has not terminated.
         """
         if self._simulator is None:
             return

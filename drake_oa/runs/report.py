@@ -25,8 +25,9 @@ from drake_oa.scenario.sources import given_ellipsoids, perception_period
 from drake_oa.scenario.task import goal_at
 
 TOLERANCE = 1e-3
-"""Difference between two clearances (requested, achievable or minimum) above which the report
-contains a note or a warning [m]."""
+"""Difference between two clearances above which the report contains a note (requested minus
+achievable clearance, or a further reduction of the request during the motion) or a warning
+(achievable minus minimum clearance) [m]."""
 _CONTACTS = ("contacts", "initial_contacts", "new_contacts", "self_contacts")
 """Keys in the report for the lists of contacts, with the names of the attributes of
 `MotionMetrics`."""
@@ -101,10 +102,11 @@ def motion_report(
         - clearance_shortfall: achievable clearance minus `resting_clearance_min`, at least 0.
         - goal_error: distance to the goal at the end of the motion or at rest, whichever is larger.
         - orientation_error: angle to the goal's orientation at rest; only if the tool turns.
-        - torque_saturation: fraction of logged instants with a joint at its effort limit.
+        - torque_saturation: fraction of the motion's instants with a joint at its effort limit.
         - duration: time from start to termination of the motion.
         - path_length: length of the path of the tool point.
-        - out_of_range: fraction of observations beyond the training range of the regressor chain.
+        - out_of_range: fraction of observations with an obstacle beyond the training range of the
+          regressor chain.
         - inference: "Verified" or "Paper"; None for the nominal motion.
         - predicted_shortfall, clearance_reduction: maximum clearance that the verified motion was
           predicted to lack, and maximum reduction of the requested clearance because start or goal
@@ -317,14 +319,16 @@ _COLUMNS = (
     Column("source", "motion source"),
     Column("stop_reason", "termination"),
 )
-"""Rows of the printed report of a run, which `drake-oa run --help` explains."""
+"""Metrics in the rows of the printed report of a run: key, label, format, and factor to the printed
+unit; `drake-oa run --help` explains the metrics."""
 
 
 def report_table(report: dict[str, Any]) -> TextTable:
     """Returns the report of a run as a table with one row for each metric and one column for each
     motion.
 
-    Notes below the table name clearance shortfalls, their reasons, and self-contacts.
+    Notes below the table state clearance shortfalls, reductions of the requested clearance,
+    self-contacts and, for the method "Paper", observations beyond the training range.
 
     Args:
         report: result of `run_report`.

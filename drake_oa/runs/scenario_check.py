@@ -68,8 +68,8 @@ def end_contacts(scenario: Scenario) -> str:
 
 
 def _ends(scenario: Scenario) -> list[MotionMetrics]:
-    """Computes contacts and clearances of the resting robot: first in its start configuration, then
-    in its goal configuration.
+    """Computes contacts and clearances of the resting robot: one result, for one instant, in its
+    start configuration, then one in its goal configuration.
     """
     evaluator = clearance_evaluator(scenario)
     return [evaluator.metrics(q[None]) for q in end_positions(scenario)]

@@ -41,7 +41,8 @@ from drake_oa.world.station import release_cameras
 
 MAX_HOLD_TIME = 5.0
 """Maximum duration of a hold, in which the motion rests on its path, before the motion terminates
-[s]. The time before the last move of the goal does not count."""
+[s]. The time before the last move of the goal, and a hold until the first motion is selected
+(`HoldReason.DECIDING`), do not count."""
 MAX_TIME_SCALING = 6.0
 """Time limit of a motion after the last move of the goal, as a multiple of the demonstrated
 duration [-]."""
@@ -102,7 +103,9 @@ class MotionOutcome(NamedTuple):
 
     @property
     def may_continue(self) -> bool:
-        """Whether the motion may still continue later, because it was only stopped or held."""
+        """Whether the motion may still continue later: True for the kinds STOPPED and HELD, because
+        the reason for which the motion rests may end.
+        """
         return self.end in (MotionEnd.STOPPED, MotionEnd.HELD)
 
 
@@ -150,9 +153,9 @@ class MotionMonitor:
     """Monitor for `Simulator.set_monitor` that records a motion, detects its termination, and ends
     the simulation.
 
-    After the termination, the simulation continues until all obstacles have ended their
-    trajectories and the world has been at rest for `REST_TIME`. Contacts in this time count, too.
-    If a stopped or held motion continues in the meantime, it has not terminated.
+    After the termination, the simulation continues until obstacles, goal and faults do not change
+    any more and the robot has been at rest for `REST_TIME`. Contacts in this time count, too. If a
+    stopped or held motion continues in the meantime, it has not terminated.
 
     The conditions use the normalized time s, which is 1 at the end of the demonstrated motion. The
     desired motion has arrived if its position is within `ARRIVAL_TOLERANCE` (0.6 mm) of the goal,
@@ -164,9 +167,9 @@ class MotionMonitor:
     GOAL           the tool is within `AT_GOAL` of the goal, and s >= 1 and the desired motion has
                    arrived, or s is as late as for MISSED
     STOPPED        the motion guard has stopped the motion
-    MISSED         s is after `MAX_NORMALIZED_TIME` and after the predicted arrival of the verified
-                   motion, and the tool is not within `AT_GOAL` of the goal
-    HELD           a hold is longer than `MAX_HOLD_TIME`
+    MISSED         s is after `MAX_NORMALIZED_TIME` and, by at least 0.2, after the predicted
+                   arrival of the verified motion, and the tool is not within `AT_GOAL` of the goal
+    HELD           a hold is longer than `MAX_HOLD_TIME`; its reason is not DECIDING
     TIME_LIMIT     the time limit of the motion is reached
     LEFT           after GOAL: the tool is not within `AT_GOAL` at the end of the simulation
     =============  ===================================================================
@@ -206,7 +209,7 @@ class MotionMonitor:
             duration: time at which the simulation ends in any case [s]; None: the time limit of
                 the motion is `MAX_TIME_SCALING` demonstrated durations after the last move of the
                 goal. The simulation then ends at most `MAX_SETTLING_TIME` after this limit and the
-                end of all obstacle trajectories.
+                last change of obstacles, goal and faults.
             on_step: function that is called once per period of the policy with the monitor and the
                 root Context.
         """
@@ -299,7 +302,9 @@ class MotionMonitor:
 
     @property
     def state(self) -> str:
-        """State of the motion in words: its termination, the reason of its hold, or "running"."""
+        """State of the motion in words: its termination, the action of the motion guard, the note
+        of a hold, or "running".
+        """
         if self.outcome:
             return f"terminated: {self.outcome.reason}"
         return motion_state(self._last_supervision, self._last_note)
