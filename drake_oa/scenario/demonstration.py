@@ -97,8 +97,8 @@ def read_demonstrations(task: Task) -> list[Demonstration]:
     """Reads the demonstration files of `task.demonstration`.
 
     Raises:
-        ScenarioError: naming the file, if it cannot be read or used, or if it has no orientations
-            while other files have them.
+        ScenarioError: naming the file, if it cannot be read, if no movement primitive can be fitted
+            to it, or if it has no orientations while other files have them.
     """
     demonstrations = []
     for file in task.demonstration:
@@ -169,8 +169,8 @@ def _file_field(task: Task) -> str:
 
 
 def _read_archive(path: Path) -> dict[str, FloatArray]:
-    """Reads the arrays `path`, `t`, `quaternion` and `R` of an .npz demonstration file, as far as
-    they exist, by name.
+    """Reads those of the arrays `path`, `t`, `quaternion` and `R` that an .npz demonstration file
+    contains, by name.
 
     Raises:
         ValueError: if the file has no `path`.

@@ -77,7 +77,9 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
     orientations.
 
     Raises:
-        ScenarioError: naming the inconsistent field of the task.
+        ScenarioError: naming a field of the task: `rpy_start` or `rpy_goal` without a robot,
+            `rpy_goal` for a rotation by 180 degrees without demonstrated orientations, or invalid
+            files of `demonstration`.
     """
     task, robot = scenario.task, scenario.robot
     requested = {"rpy_start": task.rpy_start, "rpy_goal": task.rpy_goal}
@@ -107,7 +109,7 @@ def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
     """Returns the orientations R_WE of the tool frame at start and goal of a scenario's motion.
 
     Raises:
-        ScenarioError: if the scenario has no robot, or if its orientations contradict each other.
+        ScenarioError: if the scenario has no robot, or if `tool_orientation` rejects a field.
     """
     orientation = tool_orientation(scenario)
     if orientation is None:

@@ -139,8 +139,8 @@ def _robot_problems(scenario: Scenario) -> Iterator[str]:
 
 
 def _fault_problems(scenario: Scenario) -> Iterator[str]:
-    """Yields one error line for each fault that requires a robot or a camera which the scenario
-    does not have.
+    """Yields one error line for each fault that requires a robot, the perception `!DepthCamera` or
+    a camera in it, if the scenario does not have it.
     """
     source = scenario.perception
     for row, fault in enumerate(scenario.faults):

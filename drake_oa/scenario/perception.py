@@ -44,8 +44,8 @@ class GivenEllipsoids:
 
 
 def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> Iterator[str]:
-    """Yields one error line for each invalid camera configuration, and for each camera name or
-    camera setting in the perception block that is invalid.
+    """Yields one error line for each invalid field of a camera configuration, and for each invalid
+    field `camera`, `cameras` or `noise` of the perception block.
 
     Args:
         perception: perception block of the scenario.
@@ -70,8 +70,9 @@ def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> 
 
 
 def _camera_problems(perception: CameraSource, cameras: Sequence[CameraConfig]) -> Iterator[str]:
-    """Yields one error line for each camera in a perception block that is missing, repeated, or
-    differs from the first camera in frame rate or delay.
+    """Yields one error line for each camera of a perception block that is missing in the scenario,
+    repeated, or differs from the first camera in frame rate or delay, and one line if the block
+    sets `camera` and `cameras`.
     """
     names = perception.cameras
     if names and perception.camera != CameraSource.camera:

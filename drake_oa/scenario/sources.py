@@ -61,10 +61,11 @@ def with_simulated_cameras(scenario: Scenario) -> Scenario:
 
 
 def fixed_transform(transform: Transform | None, field: str) -> RigidTransform | None:
-    """Returns the pose in the world that a field of a perception block sets; None if it is null.
+    """Returns the pose in the world that a field of a perception block sets; None if the field is
+    null.
 
     Args:
-        transform: value of the field.
+        transform: value of the field, a transform of Drake's schema, which may be random.
         field: name of the field, for error messages.
 
     Raises:
@@ -99,7 +100,9 @@ def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
 
 
 def table_plane(scenario: Scenario) -> TablePlane | None:
-    """Returns the table plane of a scenario in the world, or None if the scenario has no table."""
+    """Returns the horizontal plane at the field `table_height` of a scenario; None if the field is
+    null.
+    """
     return None if scenario.table_height is None else TablePlane(offset=scenario.table_height)
 
 

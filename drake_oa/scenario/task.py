@@ -50,13 +50,13 @@ class Task:
     demonstrated orientation, or `robot.rpy_WE` without demonstrated orientations."""
     q_start: list[float] | None = None
     """Configuration of the arm at the start, with as many joints as `robot.q_seed` [rad]; null: a
-    solution of the inverse kinematics close to `robot.q_seed`. If `start` or `rpy_start` is
-    missing, it is computed from this configuration; otherwise it must agree with it."""
+    solution of the inverse kinematics close to `robot.q_seed`. The fields `start` and `rpy_start`
+    are computed from this configuration if they are missing; otherwise they must agree with it."""
     q_goal: list[float] | None = None
     """Configuration of the arm at the goal, with as many joints as `robot.q_seed` [rad]; null: a
-    solution of the inverse kinematics. If `goal` or `rpy_goal` is missing, it is computed from this
-    configuration; otherwise it must agree with it. The nominal posture, tracked in the null space,
-    changes from `q_start` to `q_goal` along the motion."""
+    solution of the inverse kinematics. The fields `goal` and `rpy_goal` are computed from this
+    configuration if they are missing; otherwise they must agree with it. The nominal posture,
+    tracked in the null space, changes from `q_start` to `q_goal` along the motion."""
     demonstration: list[str] = Field(default_factory=list)
     """Demonstrations that the nominal motion reproduces: a file, or a list of files with
     repetitions of one motion, which are averaged. Files are package:// URLs or relative to the
@@ -78,8 +78,8 @@ _MIN_TRAVEL = 1e-3
 def goal_problems(task: Task) -> Iterator[str]:
     """Yields one error line for each invalid goal of a task.
 
-    A goal is invalid if it is too close to the start, or if its time is not later than the time of
-    the previous goal.
+    A goal is invalid if it is less than 1 mm from the start. A move is also invalid if its time is
+    less than 1 us after the previous move, or after 0 for the first move.
     """
     if math.dist(task.start, task.goal) < _MIN_TRAVEL:
         yield f"task.goal: {task.goal} is the start; they must be at least 1 mm apart"
