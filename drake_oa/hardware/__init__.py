@@ -21,7 +21,8 @@ Modules that simulate the arm behind the messages (`drake-oa station`):
 - `panda_station.PandaStation` connects the simulated robot and cameras of a scenario to the
   messages.
 - `command_streamer.CommandValidator` checks each command before the arm follows it. It rejects
-  commands that are old, out of limits, discontinuous, or from a second command source.
+  commands with an old time stamp, outside the joint limits, with a jump of the positions, or from a
+  second command source.
 
 This package was never run on a real arm.
 

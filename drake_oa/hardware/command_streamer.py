@@ -42,8 +42,8 @@ MICROSECOND = 1e-6
 """Unit of the time stamps in LCM messages [s]."""
 
 _logger = logging.getLogger("drake_oa")
-"""Logger of the package drake_oa, used for failures of the arm and for events of received
-commands."""
+"""Logger of the package drake_oa, used for failures of the arm and for events of
+`CommandValidator`."""
 
 _BLOCKED_MODES = {
     lcmt_panda_status.kGuiding: "being guided by hand",
@@ -52,7 +52,7 @@ _BLOCKED_MODES = {
     lcmt_panda_status.kAutomaticErrorRecovery: "recovering from an error",
 }
 """Robot modes of a Panda in which the arm does not follow commands: number of the mode in a status
-message -> description for messages."""
+message -> description for error messages."""
 _ROWS = 4096
 """Number of rows in each of the two buffers of a `SharedTrajectory`, which store planned and
 measured joint positions."""
@@ -243,7 +243,7 @@ class Arm(Protocol):
         """
 
     def close(self) -> None:
-        """Ends the connection; the arm is at rest, or stops."""
+        """Ends the connection; the arm then holds its position or comes to rest."""
 
 
 class CommandStreamer:
@@ -530,10 +530,17 @@ class CommandValidator:
     """Validator of received joint position commands, which computes the desired motion of the
     simulated arm from the valid commands.
 
-    A command is rejected if it is old, out of limits, discontinuous, or of another control mode. It
-    is also rejected if its stamp is not after the previous one, as with two command sources. After
-    `COMMAND_TIMEOUT` without a valid command, the arm holds its last desired position, and may
-    follow commands again from there.
+    A command is rejected for one of these reasons::
+
+        time stamp more than `COMMAND_TIMEOUT` before or after the wall clock
+        other content than one position per arm joint in position mode
+        time stamp not after that of the last valid command, as with two command sources
+        position outside the limits of its joint
+        jump of a joint by more than `STEP_TOLERANCE` plus `MAX_SPEED_RATIO` times the displacement
+        at the speed limit since the last valid command (0 if the arm holds)
+
+    After `COMMAND_TIMEOUT` without a valid command, the arm holds its last desired position, and
+    may follow commands again from there.
 
     Attributes:
         events: texts of the events so far: the arm begins to follow commands, it begins to hold, or

@@ -62,7 +62,8 @@ def hardware_scenario(scenario: Scenario, lcm_url: str, image_delay: float = 0.0
         scenario: scenario with `!DepthCamera` or `!LcmCamera`.
         lcm_url: URL of the LCM bus.
         image_delay: delay of the images, in simulated time, for which the motion guard must not
-            slow the arm [s]; raises `guard.stale_frames`, its limit for the age of images.
+            slow the arm [s]. It is added, in camera periods, to `guard.stale_frames`: the age of an
+            observation above which the guard slows the arm.
 
     Raises:
         ScenarioError: naming a field that requires a simulated world, or if the scenario has no

@@ -101,7 +101,7 @@ class _ImageSender:
             lcm: LCM bus of the messages.
             now: time of the wall clock [s].
             rate: ratio of simulated time to wall time [-].
-            is_paused: whether the simulation is paused.
+            is_paused: whether the simulation is paused, so that the image repeats an earlier one.
         """
         camera, context = self._camera, self._system.GetMyContextFromRoot(root)
         image = camera.depth_image.Eval(context)
@@ -148,8 +148,8 @@ class PandaStation:
             lcm: LCM bus of the messages.
             rate: maximum ratio of simulated time to wall time [-].
             waits: whether the simulation pauses until the first valid command, so that obstacles
-                start with the motion. In this case, `run` ends once no commands are received, the
-                robot is at rest, and no obstacle will move any more.
+                start with the motion. In this case, `run` ends once no valid commands are received,
+                the robot is at rest, and no obstacle will move any more.
             log: whether states and torques are logged.
             clock: function that returns the time of the wall clock [s].
 
@@ -265,8 +265,8 @@ class PandaStation:
         would move faster by the wall clock than commanded.
 
         Args:
-            duration: simulated time at which the run ends [s]; inf: the run ends when `each_step`
-                raises an exception.
+            duration: simulated time at which the run ends at the latest [s]. If it is inf, the run
+                of a station without `waits=True` ends when `each_step` raises an exception.
             each_step: function that is called after each step of the plant.
         """
         context = self.simulator.get_context()

@@ -64,7 +64,8 @@ class RobotLink:
         rate: maximum ratio of simulated time to wall time [-].
         url: URL of the LCM bus of the images.
         clock: function that returns the time of the wall clock [s].
-        wait: function that is called repeatedly while the link waits.
+        wait: function that is called repeatedly while the link waits for the arm, for a message or
+            for the wall clock.
         events: changes of the arm's state (stopped, holds, resumed), each as simulated time [s] and
             text.
     """
@@ -195,7 +196,7 @@ class RobotLink:
         return q
 
     def wait_for_message(self) -> None:
-        """Waits for a short time in which a message may arrive.
+        """Waits once, by default for 0.5 ms, so that a message may arrive.
 
         Raises:
             KeyboardInterrupt: if the user has requested the end of the run.
