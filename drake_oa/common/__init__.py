@@ -7,11 +7,12 @@ These modules do not import any layer.
   `EllipsoidSet`, `Route`, `CouplingParameters`, `PolicyState`, `PlannedMotion`. Copying a message
   returns the same object, so that a Context clones in constant time.
 - `signal_builder`: a builder of diagrams that connects ports by signals, which are named values.
-- `ports`: typed reading of abstract input ports, and output ports that publish attributes of a
-  system's abstract state.
+- `ports`: abstract input ports with a check of the type of their values, and output ports that
+  publish attributes of a system's abstract state.
 - `config`: validation of configuration blocks: units, ranges, YAML data.
-- `latency`: simulated compute latency of decisions (`LatencyModel`, block `compute_latency`), and
-  a decision that is being computed while the previous one stays active (`PendingDecision`).
+- `latency`: simulated compute latency (`LatencyModel`, block `compute_latency`) of decisions, the
+  periodic computations of a layer such as a motion search; and a decision that is being computed
+  while the previous one stays active (`PendingDecision`).
 - `compiled`: decorators of functions that numba compiles (kernels), and the folder that caches the
   machine code of the kernels; `numba_tools`: the processor for which this code is generated.
 - `files`: atomic replacement of files; the software versions, and the digest (hash) of the source

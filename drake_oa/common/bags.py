@@ -108,7 +108,7 @@ class BagWriter:
             self._writer.write_message(topic, self._schemas[kind], message, round(time * SECOND))
 
     def _open(self) -> None:
-        """Creates the file and its writer."""
+        """Creates the MCAP file of the bag, and the writer of this file."""
         with output_errors(self._path):
             file = self._closing.enter_context(self._path.open("wb"))
             # Compressed images and checksums would multiply the time to write and to read them.
@@ -117,7 +117,7 @@ class BagWriter:
         self._closing.callback(self._writer.finish)
 
     def close(self) -> None:
-        """Completes the file.
+        """Completes the MCAP file of the bag, if a message has been written.
 
         Raises:
             OutputError: if the file cannot be written.

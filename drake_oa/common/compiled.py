@@ -30,13 +30,13 @@ CORES = max(len(os.sched_getaffinity(0)), 1)
 
 class KernelCacheLocator(InTreeCacheLocator):
     """Cache locator for numba: determines the folder of the cached machine code of a kernel
-    (compiled function), and the stamp of its source.
+    (compiled function), and the stamp (here a hash) of its source.
 
-    The folder is `__pycache__` beside the source, or, if that is read-only, a copy in the user's
-    cache, or else a temporary folder. Numba uses cached code only if the stamp that was saved with
-    the code equals the present stamp. Numba's own stamp covers only the file of the kernel, so that
-    outdated code of called kernels would be used. This stamp also covers the called kernels and the
-    constants that the kernel uses.
+    The folder is `__pycache__` beside the source, or, if that is read-only, a copy of it in the
+    user's cache, or else a temporary folder. Numba uses cached code only if the stamp that was
+    saved with the code equals the present stamp. Numba's own stamp covers only the file of the
+    kernel, so that outdated code of called kernels would be used. This stamp also covers the called
+    kernels and the constants that the kernel uses.
     """
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
@@ -52,8 +52,8 @@ class KernelCacheLocator(InTreeCacheLocator):
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> KernelCacheLocator | None:
-        """Returns the locator of a kernel; None for a kernel of another package, or if
-        NUMBA_CACHE_DIR is set.
+        """Returns the cache locator of a kernel (compiled function); None for a kernel of another
+        package than drake_oa, or if NUMBA_CACHE_DIR is set.
 
         Args:
             py_func: Python function of the kernel.

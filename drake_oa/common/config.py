@@ -114,7 +114,10 @@ def _check_angle(angle: float) -> float:
 
 
 def length(count: int) -> Any:
-    """Returns the pydantic annotation of a configuration field that is a list of `count` values."""
+    """Returns the pydantic annotation of a list that must have exactly `count` items.
+
+    The type of the list states the type of the items: `Annotated[list[float], length(3)]`.
+    """
     return Field(min_length=count, max_length=count)
 
 
@@ -128,7 +131,7 @@ def above(name: str) -> AfterValidator:
     """Returns the pydantic validator of a number that must be greater than another field.
 
     Args:
-        name: name of the other field, which the block defines earlier.
+        name: name of the other field, which the same configuration block defines before the number.
     """
 
     def check(value: float, info: ValidationInfo) -> float:
@@ -144,8 +147,8 @@ class Tagged:
     their YAML tags.
 
     The tag of a block is an exclamation mark and the name of its class, such as `!GroundTruth`. A
-    mapping without a tag belongs to the first class of the union. In plain data the tag is the
-    value of the key "_tag".
+    mapping without a tag belongs to the first block in the type of the field, such as `Verified` in
+    `Verified | Paper`. In plain data the tag is the value of the key "_tag".
     """
 
     def __get_pydantic_core_schema__(
@@ -227,7 +230,7 @@ def validate(kind: Any, data: Any, where: str = "") -> Any:
     all its fields.
 
     Args:
-        kind: a block, or a type that contains blocks.
+        kind: class of a block, or a type that contains such classes, such as a list of blocks.
         data: plain data (dictionaries, lists, numbers, texts), as `read_yaml` returns them.
         where: name of the field with these data, for errors; empty for a whole file.
 

@@ -48,11 +48,11 @@ def is_interrupt(error: BaseException | None) -> bool:
 
 @cache
 def announce_first_use(work: str) -> None:
-    """Prints a line on stderr about slow work, at its first use in a process.
+    """Prints a line on stderr about slow work, whose result the caller stores for later uses.
 
     Args:
-        work: text of the line, a description of the work, whose result is cached for later uses.
-            Later calls with the same text print nothing.
+        work: description of the work, with which the line begins. Later calls with the same text in
+            the same process print nothing.
     """
     print(f"{work} (first use only) ...", file=sys.stderr)
 
@@ -75,7 +75,9 @@ class Column(NamedTuple):
     side: Literal["left", "right"] | None = None
 
     def cell(self, row: Mapping[str, Any]) -> str:
-        """Returns the text of this column in a row; "-" if the value is missing or not finite."""
+        """Returns the column's text in a row of values by key; "-" if the value of `key` is missing
+        or not finite.
+        """
         value = row.get(self.key)
         if isinstance(value, str):
             return value
@@ -153,7 +155,7 @@ def progress_bar(total: float) -> Iterator[Callable[[str, float], None]]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Suppresses log messages up to level WARNING in a `with` block."""
+    """Suppresses the messages of all Python loggers up to level WARNING in a `with` block."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:

@@ -33,8 +33,8 @@ class LatencyModel:
     """Compute time of one decision (computation of a motion or maneuver), apart from its counted
     work [s]. Raising it delays every decision."""
     search: float = Field(default=2.5e-3, ge=0.0, le=1.0)
-    """Compute time of one batch of roll-outs (simulations of candidate motions) [s]. Raising it
-    delays searches."""
+    """Compute time of one batch of roll-outs (simulations of candidate motions), apart from its
+    time steps [s]. Raising it delays searches."""
     step: float = Field(default=4e-7, ge=0.0, le=1.0)
     """Compute time of one time step in the roll-out (simulation) of one candidate motion [s].
     Raising it delays searches."""
@@ -47,7 +47,12 @@ class LatencyModel:
     limit toward unobserved space, counts as three. Raising it delays maneuvers."""
 
     def seconds(self, work: Counter[str]) -> float:
-        """Returns the compute latency of a decision [s] from its work, counted by `counted`."""
+        """Returns the compute latency of a decision [s].
+
+        Args:
+            work: numbers of "searches", "steps", "configurations" and "claims" in the decision, as
+                `counted` yields them.
+        """
         return (
             self.decision
             + self.search * work["searches"]
@@ -60,8 +65,8 @@ class LatencyModel:
 _account: ContextVar[Counter[str]] = ContextVar("work")
 """Counters of the computing work in the innermost `with counted()` block.
 
-`counted` installs new counters at the begin of the block, and `count` increases them. The counters
-are those of `counted`: "searches", "steps", "configurations" and "claims"."""
+`counted` installs new counters at the beginning of the block, and `count` increases them. The
+counters are those of `counted`: "searches", "steps", "configurations" and "claims"."""
 
 
 @contextmanager
@@ -107,7 +112,7 @@ class PendingDecision(Frozen, Generic[T]):
     latency.
 
     Only one decision is computed at a time. It uses the inputs at its start. It is completed at the
-    simulated time `due`, and becomes active when its owner then calls `activate`.
+    simulated time `due`, and becomes active when the system that stores it then calls `activate`.
 
     =========  ===========================  ================================================
     State      Condition                    Method and next state
@@ -137,7 +142,7 @@ class PendingDecision(Frozen, Generic[T]):
     def start(
         self, decide: Callable[[T], T], time: float, compute_latency: LatencyModel | None
     ) -> Self:
-        """Starts a decision, unless one is in progress; returns the new state.
+        """Starts a decision unless one is pending, and returns the resulting `PendingDecision`.
 
         Args:
             decide: function that computes the decision from the active one.
@@ -160,13 +165,13 @@ class PendingDecision(Frozen, Generic[T]):
         return self.pending if self.due <= time else None
 
     def activate(self) -> Self:
-        """Returns the state in which the pending decision, if any, is active."""
+        """Returns a `PendingDecision` in which the pending decision, if any, is active."""
         if self.pending is None:
             return self
         return dc.replace(self, active=self.pending, pending=None, due=math.inf)
 
     def discard(self) -> Self:
-        """Returns the state without the pending decision, which never becomes active."""
+        """Returns a `PendingDecision` with none pending; the discarded one never becomes active."""
         return dc.replace(self, pending=None, due=math.inf)
 
     @property

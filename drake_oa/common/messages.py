@@ -100,7 +100,7 @@ class ObstacleClouds(Frozen):
         table: support plane of the objects; None if no plane was detected.
         note: reason why this observation is degraded, such as "no valid pixel"; otherwise empty.
         v_WO: (M, 3) velocities of the obstacles in the world frame [m/s], exactly zero for an
-            obstacle without significant motion; zeros by default.
+            obstacle that perception classifies as at rest; zeros by default.
 
     Raises:
         ValueError: if an array has another shape, a cloud is not of floats, or IDs repeat.
@@ -274,8 +274,9 @@ class Route(Frozen):
         normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle is passed,
             with the direction x_L of the baseline; a positive rotation about this normal turns the
             baseline toward the selected side.
-        remaining_clearance: (M,) distance from the obstacle at which heading guidance leads the
-            motion past the obstacle on the selected side [m]; 0: no guidance.
+        remaining_clearance: (M,) distance from the obstacle's ellipsoid at which heading guidance
+            leads the motion past it on the selected side [m]: the requested clearance, or the
+            distance of start or goal if that is smaller; 0: no guidance.
         index: (M,) index of the selected direction among the K directions.
         angles: (K,) angles of the directions about the x axis of the local frame L [rad], 0 along
             its y axis, pi/2 along its z axis.
@@ -317,7 +318,9 @@ class Route(Frozen):
 
 
 OUT_OF_WORLD = 25.0
-"""Magnitude of a world coordinate above which an obstacle counts as absent from the scene [m]."""
+"""Magnitude of an obstacle's world coordinate above which the obstacle counts as absent [m].
+
+The simulated station raises an obstacle by 50 m before it appears and after it vanishes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +328,8 @@ class CouplingParameters(Frozen):
     """Parameters of M coupling terms, which turn the motion away from obstacles.
 
     The turning rate is alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2). theta is the angle
-    from the direction of the obstacle's center to the heading, and d the distance from this center.
+    from the direction of the obstacle's center to the heading, and d the distance of the tool point
+    from this center.
 
     Attributes:
         alpha: (M,) strength: turning rate in units of 1/T, with the demonstrated duration T.
