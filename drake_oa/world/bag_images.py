@@ -92,7 +92,9 @@ class ImageRecorder(LeafSystem):
         self.DeclarePeriodicPublishEvent(period, offset, self._write)
 
     def _write(self, context: Context) -> None:
-        """Writes the present image with its camera pose, intrinsics and joint states to the bag."""
+        """Writes the image at the input port, with its camera pose, intrinsics and joint states, to
+        the bag; nothing before the first image.
+        """
         (stamp,) = self._stamp.Eval(context)
         if not np.isfinite(stamp):
             return
@@ -121,7 +123,8 @@ def robot_rows(plant: MultibodyPlant) -> tuple[list[str], IntArray]:
     The joints have one degree of freedom.
 
     Args:
-        plant: finalized plant with the tool frame of the robot.
+        plant: finalized plant with the robot, which is the model instance of the tool frame
+            (`TOOL_FRAME`).
 
     Returns:
         List of n joint names, and (2 n,) indices in the state of the plant, of the positions of the
@@ -171,8 +174,8 @@ def read_frames(
 
     Raises:
         ScenarioError: for a bag that cannot be read, a topic that is missing or has another type,
-            an image that contradicts the camera info, a stamp that goes backward, or an image
-            without a pose.
+            an image of another encoding than 16UC1 and 32FC1 or of another size than in the camera
+            info, a stamp that goes backward, or an image without a camera pose.
     """
     with field_errors("perception", ValueError):
         rosbag2 = import_extra("rosbags.rosbag2", "bags")
@@ -223,12 +226,14 @@ def _frames(
         period: time between two images of the camera, if it was simulated [s].
 
     Raises:
-        ScenarioError: for an image that contradicts the camera info, a stamp that goes backward, or
-            an image without a pose.
+        ScenarioError: for an image of another encoding than 16UC1 and 32FC1 or of another size than
+            in the camera info, a stamp that goes backward, or an image without a camera pose.
     """
 
     def messages(*topics: str | None) -> Iterator[tuple[str, Any]]:
-        """Yields topic and message of all messages on some topics, in the order of the bag."""
+        """Yields topic and message of all messages on the given topics, in the order of the bag;
+        None is no topic.
+        """
         connections = [one for one in reader.connections if one.topic in topics]
         for connection, _, data in reader.messages(connections) if connections else ():
             yield connection.topic, typestore().deserialize_cdr(data, connection.msgtype)
@@ -364,14 +369,15 @@ class BagCamera(TimedCamera):
     - plant_state (out): (n,) present state [q, v] of the simulated plant, except that robot joints
       with a state in the bag have the recorded state at the stamp of the image.
 
-    Which image is output depends only on time. The first image is output at time 0, the others
-    after their stamps with the delay that the scenario sets for the camera. After the last one the
-    same image is output.
+    Which image is output depends only on time. The first image is output from time 0 on, and each
+    other image from its `image_time` plus the delay that the scenario sets for the camera. The last
+    image remains.
 
-    In a bag, times are rounded to nanoseconds, and rotations to quaternions. Therefore a stamp that
-    is nearly a multiple of the camera's period is replaced by the exact multiple, and a pose that
-    is nearly the one that the scenario sets for the camera is replaced by the latter. The recorded
-    images of a simulated camera thus give bit-identical observations.
+    In a bag, times are rounded to nanoseconds, and rotations to quaternions. Therefore a stamp
+    within 1 ns of a multiple of the camera's period is replaced by the exact multiple. A pose whose
+    matrix elements and coordinates [m] are within 1e-9 of the pose that the scenario sets for the
+    camera is replaced by the latter. The recorded images of a simulated camera thus give
+    bit-identical observations.
     """
 
     def __init__(self, source: RecordedBag, config: CameraConfig, plant: MultibodyPlant) -> None:
@@ -412,9 +418,10 @@ class BagCamera(TimedCamera):
         self._frame = self._frame._replace(time=np.inf)
 
     def _read(self, context: Context) -> BagFrame:
-        """Returns the image that the camera outputs at the time of a Context, and its metadata.
+        """Returns the image that the camera outputs at the time of a Context, with its time, pose
+        and joint state.
 
-        The bag is read up to this image, from the begin if a later image has been read before.
+        The bag is read up to this image, again from its start if a later image was read before.
         """
         latest = context.get_time() - self._delay + _ROUNDING
         if self._frame.time > max(latest, 0.0):
@@ -424,19 +431,24 @@ class BagCamera(TimedCamera):
         return self._frame
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """Returns the depths (H, W) of the present image along the optical axis [m]."""
+        """Returns the depths (H, W) along the optical axis [m] of the image that the camera outputs
+        at the time of a Context.
+        """
         return self._read(context).depth
 
     def pose(self, context: Context) -> RigidTransform:
-        """Returns the pose X_WC of the camera at the stamp of the present image."""
+        """Returns the pose X_WC of the camera at the stamp of the image that it outputs at the time
+        of a Context.
+        """
         X_WC = self._read(context).X_WC
         return self._exact if X_WC.IsNearlyEqualTo(self._exact, _ROUNDING) else X_WC
 
     def capture_state(self, context: Context) -> tuple[float, FloatArray]:
-        """Returns the stamp of the present image since the first one [s], and the plant state (n,).
+        """Returns the stamp of the image that the camera outputs at the time of a Context, minus
+        the stamp of the first image [s], and the plant state (n,).
 
-        In this state, robot joints in the bag have their recorded state at the stamp; the rest is
-        the present state of the simulated plant.
+        In this state, robot joints in the bag have their recorded state at the stamp of the image;
+        the rest is the present state of the simulated plant.
         """
         frame, state = self._read(context), np.array(self._state_port.Eval(context))
         is_known = np.isfinite(frame.state)

@@ -320,8 +320,10 @@ class DelayedCamera(TimedCamera):
         return any(is_active(fault, context) for fault in self._dropouts)
 
     def _initialize(self, context: Context, state: State) -> None:
-        """Captures the first image of a simulation, and forgets earlier captures. If the Context
-        continues a simulation between two captures, nothing changes.
+        """Captures the first image of a simulation, and forgets earlier captures.
+
+        Nothing changes if the last capture precedes the time of the Context by less than one
+        period: the Context then continues a simulation.
         """
         last = max(self._read(context).stamp, default=-np.inf)
         if not 0.0 < context.get_time() - last < self._period:

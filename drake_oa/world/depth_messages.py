@@ -34,7 +34,8 @@ _TYPES: dict[int, np.dtype[Any]] = {
     lcmt_image.CHANNEL_TYPE_UINT16: np.dtype(np.uint16),
     lcmt_image.CHANNEL_TYPE_FLOAT32: np.dtype(np.float32),
 }
-"""NumPy types of the depth values in LCM image messages, by LCM channel type."""
+"""NumPy types of the depth values in LCM image messages, by the field `channel_type` of the image
+(`lcmt_image`)."""
 
 
 def pack_depth(depth: NDArray[np.float32], *, camera: str, utime: int) -> lcmt_image_array:
@@ -85,7 +86,8 @@ def unpack_depth(message: lcmt_image_array) -> Frame:
     [mm] or 32-bit floats [m]; 0 is too near or missing, 65535 mm is too far.
 
     Raises:
-        ValueError: if the message does not hold exactly one valid depth image.
+        ValueError: if the message does not hold exactly one depth image, or the data of the image
+            have another size, type or compression.
     """
     depths = [i for i in message.images if i.pixel_format == lcmt_image.PIXEL_FORMAT_DEPTH]
     if len(depths) != 1:
@@ -186,7 +188,8 @@ class LcmFrames:
         there is no new image.
 
         Raises:
-            ValueError: for a message that is not a valid depth image.
+            ValueError: for a message that is no `lcmt_image_array` with exactly one depth image, or
+                whose image has data of another size, type or compression.
         """
         self._receive()
         if not self._received:

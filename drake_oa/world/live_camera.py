@@ -77,16 +77,19 @@ class _Instant(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _LiveState(Frozen):
-    """Abstract state of a `LiveCamera`: the last valid image, and recent plant states.
+    """Abstract state of a `LiveCamera`: the last accepted image, and recent plant states.
+
+    An image is accepted if it has the camera's size, its stamp is neither older than the maximum
+    age nor more than 10 ms ahead of the wall clock, and it is newer than the last accepted image.
 
     Attributes:
-        depth: (H, W) depths of the last valid image [m]; None before the first image.
-        stamp: capture time of the last valid image by the wall clock [s]; -inf before the first
+        depth: (H, W) depths of the last accepted image [m]; None before the first image.
+        stamp: capture time of the last accepted image by the wall clock [s]; -inf before the first
             image.
-        time: capture time of the last valid image by the clock of the Context [s]; -inf before the
-            first image.
-        plant_state: (n,) plant state [q, v] at the capture time of the last valid image.
-        note: reason why the last received image was rejected; empty if it was valid.
+        time: capture time of the last accepted image by the clock of the Context [s]; -inf before
+            the first image.
+        plant_state: (n,) plant state [q, v] at the capture time of the last accepted image.
+        note: reason why the last checked image or message was rejected; otherwise empty.
         history: recent plant states with their times, oldest first.
     """
 
@@ -122,9 +125,10 @@ class LiveCamera(TimedCamera):
       recent states.
 
     At initialization, or at an earlier evaluation of a port, the camera subscribes to the images
-    and waits for the first one. Every 5 ms it stores the newest image in the Context. An invalid
-    image is rejected. The begin of a series of rejections, each new reason, and the end of the
-    series are logged.
+    and waits for the first one. Every 5 ms it stores the newest image in the Context. Images of
+    another size, older than `max_age`, or with a stamp more than 10 ms ahead of the wall clock are
+    rejected, and so are messages that cannot be unpacked. The start of a series of rejections, each
+    new reason, and the end of the series are logged.
 
     Without the function `ExternalInputs.to_simulated`, which converts wall-clock times, the capture
     time is the image's wall-clock stamp plus the largest recent difference between the Context's
@@ -151,7 +155,8 @@ class LiveCamera(TimedCamera):
             X_WC: constant pose of the camera (x right, y down, z forward) in the world.
             num_states: size n of the plant's state [q, v].
             wait: maximum time to wait for the first image [s]; 0: no waiting.
-            max_age: maximum age of a valid image at its reception, by the wall clock [s].
+            max_age: maximum age of an image at its reception, by the wall clock [s]; older images
+                are rejected.
             external: functions that read and convert the clocks; None: the defaults of
                 `ExternalInputs`. The camera does not use the field `plant_state`.
         """
@@ -225,8 +230,8 @@ class LiveCamera(TimedCamera):
     def _check_source(
         self, context: Context, latest: _LiveState, last_check: float | None = None
     ) -> _LiveState:
-        """Checks whether the receiver has a new image, and returns the camera's state with this
-        image if it is valid.
+        """Checks whether the receiver has a new image, and returns the camera's state, with this
+        image unless it is rejected or not newer than the previous image.
 
         An image that is older than `max_age` is rejected with a reason, unless it was captured at
         most `max_age` before the last check. Such an image is ignored without a reason, because it
@@ -272,8 +277,8 @@ class LiveCamera(TimedCamera):
         )
 
     def _rejection_reason(self, frame: Frame, now: float) -> str:
-        """Checks size and time stamp of a received image, and returns the reason to reject it; the
-        text is empty if the image is valid.
+        """Checks size and time stamp of a received image, and returns the reason to reject it, or
+        an empty text.
 
         Args:
             frame: received image.

@@ -118,15 +118,17 @@ def _outside_camera(
 
     Args:
         builder: builder to which the camera is added.
-        source: perception block: `LcmCamera` with the URL of the LCM bus and the time limits, or
-            `RecordedBag` with path and topics of the bag.
+        source: perception block: `LcmCamera` with the URL of the LCM bus, the maximum time to wait
+            for the first image and the maximum age of images, or `RecordedBag` with path and topics
+            of the bag.
         plant: finalized plant, which contains the camera's base frame.
         config: configuration of the camera: name, intrinsics and pose.
         external: measured plant state and clocks.
 
     Raises:
-        ScenarioError: if the pose of a camera of `!LcmCamera` is not fixed, if the LCM bus cannot
-            be opened, or if the bag is unusable.
+        ScenarioError: if the pose of the camera in the scenario is not fixed, if the LCM bus cannot
+            be opened, or if the bag cannot be read, lacks a topic or a pose of the camera, or has
+            no joint of the robot.
     """
     system: TimedCamera
     if isinstance(source, RecordedBag):
