@@ -39,10 +39,16 @@ motion_verifier and motion_guard are absent:
     goal, policy_state, phase, desired_*                   goal, dmp_integrator,
                                                            orientation_integrator
     desired_posture                                        nominal_posture_source
+                                                           (`!Paper`: guide_follower)
     desired_joint_state, desired_joint_acceleration,       motion_guard
     path_state, speed_scale, evasion_velocity
     tracking_error                                         motion_guard (`!Paper`: controller)
     actuation, torque_saturation, stopping                 controller
+
+cloud is the point cloud that the viewer draws, and free_space_W the space that the cameras
+observed to be free. path_state is the state of the robot on the verified motion. evasion_velocity
+is the velocity that shifts the desired motion to the tool of a stuck arm. stopping is 1 while the
+controller brakes the joints because an input is not finite.
 
 The files `*.scenario.yaml` in the folder of this package are the shipped scenarios.
 

@@ -90,11 +90,17 @@ class Layers:
                       tool and desired_posture                     layer tracking_error
     ================= ============================================ ================================
 
+    cloud is the point cloud that the viewer draws, and free_space_W the space that the cameras
+    observed to be free. path_state is the state of the robot on the verified motion, and
+    evasion_velocity the velocity that shifts the desired motion to the tool of a stuck arm.
+    stopping is 1 while the controller brakes the joints because an input is not finite.
+
     With `perception: !GroundTruth` (exact obstacles of the simulated world), the perception layer
-    reads query_object, and outputs collision_scene_W, too. With `!GivenEllipsoids` (ellipsoids in
-    the scenario), it outputs ellipsoids_W only. With `inference: !Paper` (motions are not verified
-    by roll-outs, which are simulations of the whole arm), the layers collision_scene, verification
-    and safety add no system; inference and route output coupling_parameters and route.
+    reads query_object, and with `inference: !Verified` also outputs collision_scene_W. With
+    `!GivenEllipsoids` (ellipsoids in the scenario), it outputs ellipsoids_W only. With
+    `inference: !Paper` (motions are not verified by roll-outs, which are simulations of the whole
+    arm), the layers collision_scene, verification and safety add no system; inference and route
+    output coupling_parameters and route.
     """
 
     perception: AddLayer = add_perception

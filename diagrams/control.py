@@ -26,17 +26,18 @@ from drake_oa.scenario.sources import padding, perception_period
 
 
 def add_control(signals: SignalBuilder, scenario: Scenario, station: StationModel | None) -> None:
-    """Adds the system `controller`, which computes the actuation from state and desired motion.
+    """Adds the system `controller`, which computes the robot's actuation for its desired motion.
 
     With the system MotionGuard of the safety layer, the controller is a JointInverseDynamics, which
     tracks the joint motion that MotionGuard outputs. Without MotionGuard it is a
     CartesianInverseDynamics, which tracks the motion of the tool; if the signals desired_posture
-    and desired_orientation do not exist, it holds the posture and orientation at the start. Both
-    use the model of the robot, whose inertias the last `ModelError` among the scenario's faults
-    replaces.
+    and desired_orientation do not exist, it holds the posture and orientation at the start. Either
+    controller uses the model of the robot. If the scenario has faults `!ModelError`, the inertial
+    parameters of the last one replace those of the model.
 
     Raises:
-        ScenarioError: if the inertias of the `ModelError` belong to another robot.
+        ScenarioError: if the file of these parameters cannot be read, or names a link that the
+            robot does not have.
     """
     if station is None:
         return
@@ -73,9 +74,10 @@ def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationMode
 
     With the signal motion (planned motion of the verification layer), this is the system
     nominal_posture_source, which outputs the planned joint positions at the present phase. Without
-    it, and if the task specifies a configuration at the goal (`task.q_goal`), these are the systems
-    posture_guide and guide_follower. The posture then leads from the configuration at the start to
-    that at the goal by a minimum-jerk profile.
+    it, and if the task specifies a configuration at the goal (`task.q_goal`), the source
+    posture_guide outputs joint positions from the configuration at the start to that at the goal,
+    by a minimum-jerk profile, and guide_follower outputs those at the present phase. Otherwise no
+    system is added.
     """
     if station is None:
         return
@@ -103,7 +105,8 @@ def add_safety(signals: SignalBuilder, scenario: Scenario, station: StationModel
     It is added only if motions are verified by roll-outs (simulations). Main inputs are the desired
     motion of the tool, the signal motion (verified motion of the arm), collision_scene_W and
     robot_state. Main outputs are desired_joint_state, desired_joint_acceleration, path_state (state
-    of the robot on the verified motion), speed_scale (fraction of full speed) and evasion_velocity.
+    of the robot on the verified motion), speed_scale (fraction of full speed) and evasion_velocity
+    (velocity that shifts the desired motion to the tool of a stuck arm).
     """
     if station is None or "motion" not in signals:
         return

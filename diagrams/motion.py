@@ -49,8 +49,9 @@ def add_policy(signals: SignalBuilder, scenario: Scenario, station: StationModel
 
     They are goal, dmp_integrator (movement primitive of the position) and, if the tool rotates,
     orientation_integrator (movement primitive of the orientation). The inputs of dmp_integrator are
-    goal and, as far as these signals exist, ellipsoids_W, coupling_parameters, route, speed_scale,
-    evasion_velocity and demonstration.
+    goal and, as far as these signals exist, ellipsoids_W, coupling_parameters, route (sides on
+    which obstacles are passed), speed_scale (fraction of full speed), evasion_velocity (velocity
+    that shifts the motion to the tool of a stuck arm) and demonstration (motion that is imitated).
     """
     task, policy = scenario.task, scenario.policy
     goal: LeafSystem = ConstantVectorSource(np.asarray(task.goal))

@@ -106,7 +106,8 @@ def add_station(
 
 
 _COVERED: dict[tuple[str, RobotPlant], ArmSpheres] = {}
-"""Cache of the spheres that cover each robot, by the text of its configuration block and its plant.
+"""Cache of the spheres that cover each robot, by the text of the robot's configuration block and
+the plant of the robot alone.
 
 Computing the spheres requires seconds."""
 
