@@ -16,8 +16,9 @@ gives the same scenes with the same version of this package.
 Modules that the three packages share:
 
     cameras    poses of the depth cameras in evaluated scenes
-    results    function calls carried out in this process, in worker processes or on a Dask cluster
-               (joblib); results on disk, identified by a digest of call and source
+    results    function calls carried out in this process, or by the package joblib in worker
+               processes or on a Dask cluster; results on disk, identified by a digest of call and
+               source
 
 Read `panda/evaluation.py` first: an evaluation from its scenes to its results on disk.
 """

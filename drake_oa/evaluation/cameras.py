@@ -1,13 +1,14 @@
 """Poses of the depth cameras in evaluated scenes.
 
 All cameras are the ASUS Xtions of the shipped scenarios: 640 x 480 pixels, a field of view of 58 x
-45 degrees, 30 images per second with a delay of 30 ms, and noise by a published model. Depths below
-0.8 m are not measured.
+45 degrees, 30 images per second with a delay of 30 ms, and the noise model of
+`drake_oa.world.depth_noise`. Depths below 0.8 m are not measured.
 
 - `with_workspace_cameras`: one or two cameras 2.1 m from the center of the workspace. They observe
   most of the space near the arm (as computed by `drake_oa.runs.camera_placement`). Perception uses
   points at a depth of up to 3.5 m and at most 0.6 m beside the table.
-- `with_task_cameras`: two cameras to the left and right of the task, 1.2 m from its middle.
+- `with_task_cameras`: two cameras to the left and right of the task, 1.2 m from the middle between
+  start and goal.
 """
 
 from __future__ import annotations
@@ -57,9 +58,9 @@ TABLE_MARGIN = 0.6
 
 It applies to the cameras of `with_workspace_cameras`."""
 _STAND = "package://drake_oa/scenes/camera_xtion.dmd.yaml"
-"""URL of the model directives that add a scenario's camera stand at the table.
+"""URL of the model directives that add the stand of the camera in shipped scenarios.
 
-The directives are removed when the camera is replaced."""
+`with_workspace_cameras` removes these directives with the camera."""
 _WORKSPACE_DISTANCE = 2.1
 """Distance between the center of the workspace and a camera that observes the workspace [m]."""
 TASK_DISTANCE = 1.2
@@ -70,7 +71,7 @@ ELEVATIONS = np.radians([35.0, 50.0, 65.0, 80.0, 20.0])
 """Elevations of a camera in order of preference: angles above the horizontal plane [rad].
 
 They are seen from the middle of start and goal. The first elevation is used at which no obstacle is
-within 0.15 m of the camera or of the first 0.8 m of its optical axis."""
+within 0.15 m of the camera or of the first 0.8 m of its optical axis; if none, the last."""
 MIN_DISTANCE = 0.15
 """Minimum distance of obstacles from a camera and from the first 0.8 m of its optical axis [m].
 
@@ -134,11 +135,11 @@ def with_workspace_cameras(
 
 
 def obstacle_geometries(obstacles: Iterable[Obstacle], time: float = 0.0) -> CollisionGeometries:
-    """Returns the collision geometries of obstacles, which may move, in the world at a given time.
+    """Returns the collision geometries of obstacles in the world frame, all at rest.
 
     Args:
         obstacles: obstacles of a scenario.
-        time: time in the simulation [s].
+        time: simulated time [s], at which the poses of moving obstacles are computed.
     """
     placed = []
     for item in obstacles:
@@ -155,8 +156,9 @@ def with_task_cameras(scenario: Scenario) -> Scenario:
     from above, the cameras are 60 degrees to the left and right of the direction to the robot's
     base. The elevation above the horizontal plane is 35 degrees, or else the first of 50, 65, 80
     and 20 degrees at which no obstacle is within 0.15 m of the camera or of the first 0.8 m of its
-    optical axis. In a scenario with a table, only objects above the table are obstacles; in a
-    scenario without a table (`table_height: null`), everything perceived except the robot is.
+    optical axis; if there is none, it is 20 degrees. In a scenario with a table, only objects above
+    the table are obstacles; in a scenario without a table (`table_height: null`), everything
+    perceived except the robot is.
     """
     scenario = copy.deepcopy(scenario)
     task = scenario.task

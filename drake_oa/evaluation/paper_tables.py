@@ -96,11 +96,12 @@ def error_table(
 def table_one_metrics() -> dict[str, Any]:
     """Returns the JSON of Table I: errors of the networks of each shipped regressor chain.
 
-    "chains" has for each chain some metadata, and "networks", target ("kappa", "psi" or "alpha") ->
-    `train` and `test`, the normalized mean squared errors (NMSE) on the rows of these sets; `rows`,
-    the number of rows; and `floor`, an estimate of the lowest NMSE that any function of the
-    network's inputs can reach. Chains trained on motions of the paper's released code have the
-    published values as well.
+    "chains" has for each weights file "networks", target ("kappa", "psi" or "alpha") -> `train` and
+    `test`, the normalized mean squared errors (NMSE) on the rows of these sets; `rows`, the number
+    of rows; and `floor`, an estimate of the lowest NMSE that any function of the network's inputs
+    can reach. Chains trained on motions of the paper's released code have the published values as
+    well. Further keys of a weights file are the chain's name in the paper, and the equations of
+    motion, number of simulated motions, seed, package version, date and digest of its training.
     """
     chains = {}
     for file in SHIPPED:
@@ -152,6 +153,9 @@ def evaluate_novel(scenes: Scenes) -> Outcome:
 
     Args:
         scenes: scenes of the suite `demo`, drawn as by the authors' demo program.
+
+    Returns:
+        Ground-truth results of all motions in the only setting, and the computing time.
     """
     return evaluate("paper", run, scenes, [Setting()], sections)
 
@@ -161,7 +165,9 @@ _MEAN_TOLERANCE = 0.01
 _MIN_TOLERANCE = 0.03
 """Tolerance of a minimum clearance in the reproduced Table II from its published value [m]."""
 _ERROR_FACTOR = 2.0
-"""Maximum factor between a goal error in the reproduced Table II and its published value [-]."""
+"""Maximum ratio of a goal error in the reproduced Table II to the published value [-].
+
+The minimum ratio is the inverse."""
 _COLLISION_TOLERANCE = 3
 """Tolerance of a number of collisions in the reproduced Table II from its published value [-]."""
 
@@ -198,8 +204,10 @@ def agrees(metrics: Mapping[str, Any], published: Mapping[str, Any]) -> dict[str
 def table_two_metrics(outcome: Outcome, scenes: Scenes, seed: int) -> dict[str, Any]:
     """Returns the JSON of the reproduced Table II: metrics for each baseline and published ones.
 
-    A baseline is the distance from start to goal. The key "agrees" of a row states for each metric
-    whether it is within its tolerance of the published value; "cells" counts the metrics that are.
+    "by_baseline" has a row for each baseline (distance from start to goal): the metrics by
+    `motion_statistics`, and "agrees", the result of `agrees`. "cells" is the number of metrics in
+    all rows that agree with the published value; "line_collision_rate", the fraction of scenes in
+    which the line from start to goal enters the obstacle.
 
     Args:
         outcome: result of `evaluate_novel`.
@@ -232,7 +240,7 @@ _CELL_COLUMNS = (
     Column("goal_error_max", "max. goal error [mm]", "{:.0f}", 1e3),
     Column("differing", "differing metrics"),
 )
-"""Columns of the reproduced Table II, after the first column with the name of the row.
+"""Columns (metric, heading, format, scale) of the reproduced Table II, after that of row names.
 
 A row is a distance from start to goal, or its published values."""
 _NOTES = (
@@ -292,11 +300,13 @@ _TRIAL_COLUMNS = (
     Column("goal_error_mean", "mean goal error [mm]", "{:.2f}", 1e3),
     Column("goal_error_published", "published [mm]", "{:.2f}", 1e3),
 )
-"""Columns of the reproduced Table III, which has a row for each kind of obstacles and method."""
+"""Columns (metric, heading, format, scale) of the reproduced Table III.
+
+The table has a row for each kind of obstacles and method."""
 
 
 def trial_text(name: str, seed: int) -> str:
-    """Returns the text of a shipped scenario with another seed of its camera noise.
+    """Returns the YAML text of a shipped scenario with another seed of its camera noise.
 
     Args:
         name: name of the scenario.
@@ -334,7 +344,16 @@ def trial_suites(
 def trial_metrics(
     runs: Mapping[int, Mapping[str, Any]], published: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """Returns the metrics of one row of the reproduced Table III, beside published values if known.
+    """Returns the metrics of one row of the reproduced Table III, with the published values if any.
+
+    The keys are:
+
+    - trials: number of runs; the other metrics are of those with a known tool clearance.
+    - obstacles_touched: number of different obstacles in contact in any run, the table included.
+    - shortfall_count: number of runs with a tool clearance below the requested one.
+    - clearance_mean, clearance_min: statistics of the minimum tool clearance of a run [m].
+    - goal_error_mean, goal_error_max: statistics of the distance to the goal at the end [m].
+    - duration_median: median duration of a run [s].
 
     Args:
         runs: number of a trial -> result of its run, see `panda.evaluation.run_and_evaluate`.
@@ -369,8 +388,8 @@ def trials_metrics(
     result of `trial_metrics`; and "kinds", kind -> further metrics, the result of `panda_metrics`.
 
     Args:
-        results: results of each kind's suite.
-        metrics: results of `panda_metrics` for each kind's suite.
+        results: results of `panda.evaluation.evaluate_panda`, one for the suite of each kind.
+        metrics: results of `panda_metrics` for the same suites.
     """
     return {
         "suite": results[0].suite.name,

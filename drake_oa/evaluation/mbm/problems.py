@@ -121,7 +121,7 @@ def _placement(pose: Mapping[str, Any]) -> dict[str, list[float]]:
         pose: `position` x, y, z [m] and `orientation` as a quaternion x, y, z, w.
 
     Returns:
-        `translation` [m], and `rpy`, roll, pitch and yaw [rad].
+        Field -> values: `translation`, x, y, z [m], and `rpy`, roll, pitch and yaw [rad].
     """
     x, y, z, w = pose["orientation"]
     wxyz = np.array([w, x, y, z])

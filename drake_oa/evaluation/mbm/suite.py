@@ -57,11 +57,11 @@ simulated plant requires more computing time."""
 
 
 def draw_problem(text: ProblemText, robot: str, seen: bool) -> str:
-    """Converts a motion planning problem to the text of a scenario.
+    """Converts a motion planning problem to the YAML text of a scenario.
 
     Args:
         text: YAML texts of the problem.
-        robot: text of a scenario with the robot.
+        robot: YAML text of a scenario with the problem's robot.
         seen: whether two depth cameras perceive the obstacles; else perception is ground truth.
     """
     scenario = problem_scenario(parse_problem(text), parse_scenario(robot).robot or Robot())
@@ -79,7 +79,7 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
         robot: configuration of the problem's robot.
 
     Raises:
-        ValueError: if the problem has other joints than the robot.
+        ValueError: if the problem lacks the position of a joint of the arm.
     """
     robot_plant, n = make_robot_plant(robot), len(robot.q_seed)
     limits = robot_plant.limits
@@ -143,8 +143,8 @@ problems.
 
 The tool ends within 1 cm and 15 degrees of the goal. Joints may exceed their limits by 1 mrad,
 since a joint with its goal at a limit settles around it. The method `planner` (RRT-Connect) plans
-with the requested clearance and may check 200,000 configurations: the 40,000 of random scenes are
-too few for three of the first six problems of the set `cage`."""
+with the requested clearance and may check 200,000 configurations: the 40,000 of `drake-oa evaluate
+panda` are too few for three of the first six problems of the set `cage`."""
 
 
 def mbm_suites(
@@ -196,11 +196,11 @@ def mbm_metrics(
 
     Keys: "suite", the suite's name; "sets", name of a set -> its metrics, the result of
     `panda_metrics`; and "all", the metrics of each method over all sets together, the result of
-    `methods_metrics`.
+    `methods_metrics`, with "perception", "duration", "jobs" and "versions" of the first set.
 
     Args:
-        results: results of each set's suite.
-        metrics: `panda_metrics` of each set's suite.
+        results: results of `panda.evaluation.evaluate_panda`, one for the suite of each set.
+        metrics: results of `panda_metrics` for the same suites.
     """
     first = results[0].suite
     runs = {

@@ -5,10 +5,11 @@ and seconds.
 
 The dead-zone figure of Pairet et al., RA-L 2019, compares two coupling terms of equal strength,
 which turn the motion away from an obstacle, on the same action level (equations of motion): the
-original term (eq. 7), gamma theta exp(-beta |theta|), at each gain gamma, and the dead-zone free
-term (eq. 8) with the same peak, gamma / (beta e), and the same area, gamma / beta^2 for theta > 0.
-theta is the angle between the heading and the direction of the obstacle's center. kappa is 0, as
-the original term does not depend on the distance.
+original term (eq. 7), gamma theta exp(-beta |theta|), with its published decay beta, at each gain
+gamma, and the dead-zone free term (eq. 8) with the same peak, gamma / (beta e), and the same area,
+gamma / beta^2 for theta > 0. theta is the angle between the heading and the direction of the
+obstacle's center. The decay kappa of the dead-zone free term with the distance is 0, as the
+original term does not depend on the distance.
 """
 
 from __future__ import annotations
@@ -69,6 +70,9 @@ def evaluate(
             scenes are run.
         true_scenes: function from a batch of scenes to the ground-truth scenes in which the motions
             are evaluated, for example with other obstacles; by default the same scenes.
+
+    Returns:
+        Ground-truth results by the label of the setting, and the computing time of the method.
     """
     results, seconds, count = {}, 0.0, 0
     with progress_bar(len(settings) * len(scenes)) as update:
@@ -154,8 +158,8 @@ def motion_statistics(results: GroundTruthResult) -> dict[str, Any]:
 
     - scenes, collisions: numbers of scenes, and of those whose motion touches the obstacle.
     - clearance_mean, clearance_min, clearance_max: statistics of the minimum clearance of a motion.
-    - clearance_mean_achievable: mean over the scenes in which the requested clearance Delta is
-      achievable.
+    - clearance_mean_achievable: mean of this minimum over the scenes in which the requested
+      clearance Delta is achievable.
     - shortfall_count: number of scenes with a clearance more than 1 mm below the achievable one,
       min(Delta, distance of the start, distance of the goal).
     - goal_error_mean, goal_error_max: statistics of the distance to the goal at the end.
@@ -187,7 +191,9 @@ _COLUMNS = (
     Column("goal_error_max", "max. goal error [mm]", "{:.3f}", 1e3),
     Column("path_ratio_mean", "mean path ratio", "{:.3f}"),
 )
-"""Columns of tables of metrics in synthetic scenes, after the first column with the row's name."""
+"""Columns (metric, heading, format, scale) of tables of metrics in synthetic scenes.
+
+The column with the name of the row precedes them."""
 
 
 def evaluation_tables(metrics: Mapping[str, Any], notes: Sequence[str] = ()) -> list[TextTable]:

@@ -46,13 +46,18 @@ BETA = 20.0 / math.pi
 It acts on the angle between the heading and the direction of the obstacle's center."""
 
 _PARALLEL = 1e-9
-"""Distance of an obstacle's center from the line from start to goal that counts as zero [m]."""
-_MAX_NORMAL_CHANGE = 1e-9
-"""Change of the P-plane's unit normal up to which the regressor chain is not evaluated again [-].
+"""Distance up to which an obstacle's center counts as on the line from start to goal [m].
 
-The P-plane contains the velocity and the direction of the obstacle's center."""
+The initial P-plane is then horizontal."""
+_MAX_NORMAL_CHANGE = 1e-9
+"""Maximum change of any component of the P-plane's unit normal without a new evaluation [-].
+
+The P-plane contains the velocity and the direction of the obstacle's center. After a larger change
+since its last evaluation, the regressor chain is evaluated again."""
 _HALF_LENGTH = 1e3
-"""Half length of the cylinder that replaces an obstacle to measure its distance in a plane [m]."""
+"""Semi-axis, normal to the P-plane, of the ellipsoid that replaces an obstacle in `sections` [m].
+
+Clearances in the P-plane are distances to this ellipsoid."""
 
 ARRIVED = 4e-4
 """Distance to the goal below which a motion ends after its demonstrated duration [m]."""
@@ -75,8 +80,9 @@ def run(scenes: Scenes, setting: Setting) -> Motions:
 
     Args:
         scenes: N scenes.
-        setting: whether the chain has the requested clearance Delta as an input, and whether
-            spring and damper are multiplied by tau^2, with the temporal scaling tau (else tau = 1).
+        setting: `constrained`: whether the chain has the requested clearance Delta as an input;
+            `scale_time`: whether spring and damper are multiplied by tau^2, with the temporal
+            scaling tau (else tau = 1).
 
     Raises:
         FileNotFoundError: if a weights file is missing.
@@ -122,11 +128,11 @@ def time_scale(scenes: Scenes) -> FloatArray:
 
 
 def sections(scenes: Scenes) -> Scenes:
-    """Replaces each obstacle by a long cylinder over its section with the initial P-plane.
+    """Replaces each obstacle by a long ellipsoid with the same section in the initial P-plane.
 
     The initial P-plane contains the line from start to goal and the obstacle's center; for a center
-    on this line it is horizontal. In this plane the distance to the cylinder is the distance to the
-    section, so that clearances are measured in the plane.
+    on this line it is horizontal. In this plane the distance to the ellipsoid is the distance to
+    the section, so that clearances are measured in the plane.
     """
     out = scenes.center * (0.0, 1.0, 1.0)
     size = np.linalg.norm(out, axis=1, keepdims=True)

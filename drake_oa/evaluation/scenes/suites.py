@@ -31,7 +31,7 @@ _THIRDS = 28
 """Number of steps of the ternary search for the point of a line nearest to an obstacle."""
 
 Draw = Callable[[Generator, int], Scenes]
-"""Function that draws a given number of synthetic scenes by a random generator."""
+"""Function from a random generator and a number of scenes to as many synthetic scenes."""
 
 
 def draw_accepted(
@@ -231,7 +231,7 @@ def _dead_zone(_: Generator, count: int) -> Scenes:
     They show the dead zone of a coupling term, which turns the motion away from an obstacle: some
     terms do not act if the obstacle is straight ahead. The obstacle is a sphere of 2.5 cm, the
     smallest one in the training set. In the first scene it is exactly on the line; in the others
-    its offset is 10 um to 10 cm in equal ratios. The requested clearance is 5 cm.
+    its offset along y is 10 um to 10 cm in equal ratios. The requested clearance is 5 cm.
 
     Args:
         _: random generator, which is not used.
