@@ -150,7 +150,8 @@ def released_paths(parameters: FloatArray, lambda1: float, lambda2: float) -> Fl
         lambda2: semi-axis of the ellipse across this line [m]; it determines the temporal scaling.
 
     Returns:
-        (N, 1001, 3) positions [m]; the last one is infinite if the motion ended early.
+        (N, 1001, 3) positions [m]. After an early end the position is constant, and the last one is
+        infinite.
     """
     count = len(parameters)
     center = np.tile((_CENTER, 0.0, 0.0), (count, 1))

@@ -143,8 +143,8 @@ class ReleasedMotions:
             steps: time steps of the demonstration; afterwards the forcing term is 0.
             original: whether the coupling term is that of Hoffmann et al., (7) of Pairet et al.,
                 RA-L 2019, instead of (8).
-            end: semi-axes of an ellipsoid around each center, inside which motions end [m]; zero:
-                motions do not end there.
+            end: semi-axes along x, y and z of an ellipsoid around each center, inside which motions
+                end [m]; zero: motions do not end there.
         """
         goal, stiffness = baseline[:, None] * (1.0, 0.0, 0.0), ALPHA_X * tau**2
         self._constants = goal, center, stiffness, end, original, steps.length
@@ -196,8 +196,8 @@ def _advance(
         path: (N, S + 1, 3) positions [m]; the first is input, the others output.
         state: velocity, normal, angle, distance and is_over of `ReleasedMotions`; updated.
         constants: goals (N, 3) [m], centers of the obstacles (N, 3) [m], tau^2 alpha_x (N,) [1/s],
-            semi-axes of the ellipsoid in which motions end [m], whether the coupling term is that
-            of Hoffmann et al., and time step [s].
+            semi-axes along x, y and z of the ellipsoid in which motions end [m], whether the
+            coupling term is that of Hoffmann et al., and time step [s].
         parameters: (N, 3) parameters of the coupling terms, see `ReleasedMotions.advance`.
         forcing: (S,) forcing term for a distance of 1 m from start to goal [m/s^2].
     """
