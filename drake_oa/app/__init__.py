@@ -14,9 +14,10 @@ of a command from the signature of its function, and the help text for users fro
     check, graph        the errors and the diagram of a scenario
     perceive            table, clusters and ellipsoids of recorded frames
     benchmark           real-time factors, and wall times of systems (`drake_oa.benchmark`)
-    evaluate            methods on suites of scenes (`drake_oa.evaluation`), with the subcommands
-                        `panda`, `mbm` and `sources`, and the tables and figures of Pairet et al.,
-                        RA-L 2019 (`paper_tables`)
+    evaluate            methods on suites of scenes (`drake_oa.evaluation`): of a point, or of the
+                        robot in random scenes (`panda`), in problems of MotionBenchMaker (`mbm`)
+                        or with one source of motions left out (`sources`); and the tables and
+                        figures of Pairet et al., RA-L 2019 (`paper_tables`)
     train               training of the networks (`drake_oa.training`)
 
 The module of a command is imported when the command is called, and numerical packages when they are

@@ -66,8 +66,8 @@ def synthetic(
                                and 2 T for paper and original; or at T for movement_primitives
       mean path ratio          mean length of the path over that of the straight line
 
-    All columns are computed in float64, independently of the methods, from motions that are sampled
-    four times more finely.
+    All columns are computed in float64, independently of the methods, from motions that are
+    interpolated at three or more instants between two samples.
 
     Suites (number of scenes):
 
@@ -220,9 +220,11 @@ def panda(
       moving_high  as moving_hard; the center of at least one object is 0.6 to 1.0 m high
       drp          boxes by the parameters of the benchmark DRPBench, in one or several levels
                    (--level):
-                   sudden1 to 3, floating1 and 2, goal_blocked1 and 2, moving_goal_blocked1
-                   to 4 (default: these 11); floating1_at_0.18, _at_0.5, _at_1.0 and _at_1.6:
-                   floating1 with boxes of this speed [m/s]
+                   sudden1 to 3 (a box appears on the nominal path), floating1 and 2 (three boxes
+                   fly to and fro in front of the robot), goal_blocked1 and 2 (a box appears at the
+                   goal), moving_goal_blocked1 to 4 (boxes fly to and fro through the goal)
+                   (default: these 11); floating1_at_0.18, _at_0.5, _at_1.0 and _at_1.6: floating1
+                   with boxes of this speed [m/s]
 
     Methods (default: the first four):
 
@@ -328,8 +330,8 @@ def mbm(
     direction to the robot's base, at the first of the elevations 35, 50, 65, 80 and 20 degrees at
     which no object is near the camera or the beginning of its optical axis. An object that the goal
     grasps (the tool point is inside) is omitted. The requested clearance is 3 cm, or the clearance
-    of the whole robot at start or goal if that is less; the motion guard, which commands the
-    joints, requires no more.
+    of the whole robot at start or goal if that is less, but at least 1 mm. The motion guard, the
+    system that commands the joints, requires at most 4 mm from resting obstacles.
 
     Success: the arm ends within 1 cm and 15 degrees of the goal, without contact, and with each
     joint at most 1 mrad beyond its limit. Methods:
@@ -340,8 +342,8 @@ def mbm(
                             the requested clearance of the whole robot, at most 200 000 states; not
                             simulated
 
-    The table is that of `drake-oa evaluate panda`, with a row for each set and method, and rows
-    `all`. --json has a block for each set, and `all`.
+    The table is that of `drake-oa evaluate panda`, with a row for each set and method, and a row
+    `all` for each method over all sets. --json has a block for each set, and `all`.
 
     For example:
 
@@ -378,7 +380,7 @@ def sources(
     seed: Seed = 0,
     runs: Runs = RUNS,
 ) -> int:
-    """Evaluate `verified` without each source of its motions, and count the executed sources.
+    """Evaluate the method verified, and its variants that lack one source of motions each.
 
     Sources of the executed motion: nominal (the nominal motion), chain (parameters of the regressor
     chain of Pairet et al., RA-L 2019, with heading guidance), search (among simulated motions) and
@@ -429,6 +431,9 @@ def run_suites(
             its arguments are the results and the metrics of all suites.
         table: function that returns the table of these data; None: the table of `drake-oa
             evaluate panda`.
+
+    Returns:
+        0, or `FAILED` (1) if a run raised an exception.
     """
     if runs.jobs is not None and runs.scheduler is not None:
         raise ValueError("--jobs and --scheduler exclude each other")

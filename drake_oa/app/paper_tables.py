@@ -54,8 +54,8 @@ def table2(*, scenes: Count = 4000, seed: Seed = 0, json: Path | None = None) ->
       differing metrics     metrics that differ from the published value by more than the tolerances
                             below the table
 
-    Where the paper leaves the setting open, the one with the best agreement is used; see
-    docs/results/paper.md.
+    Where the paper leaves open how scenes, motions or clearances are computed, the variant with the
+    best agreement is used; see docs/results/paper.md.
 
     For example:
 

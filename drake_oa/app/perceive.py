@@ -78,14 +78,14 @@ def perceive(
       X_WC          4 x 4 pose of C in W, from the input or the table; null without a table
       plane         normal (toward the free side), offset (normal . p = offset), rms (of the
                     distances of its points); null without a table
-      clusters      clusters in the order of decreasing observed surface, each with
+      clusters      clusters in the order of decreasing size (number of voxels), each with
         points      number of pixels or points
         mask        [[start, length], ...]: runs of pixels by row-major index (row * columns +
                     column), or of points by their row in the file
         ellipsoid   center, R (its columns are the principal axes), semi_axes (along these, in
                     decreasing order) of the ellipsoid around the cluster dilated by the tool
         enclosed    whether the ellipsoid contains every observed point dilated by every corner
-                    of the tool, up to 1e-9
+                    of the tool, up to 1e-9 of the distance from center to surface
       milliseconds  processor time from the depth array to the ellipsoids, without reading the
                     file; median of five
       note          reason for which there is no plane, or empty
@@ -241,7 +241,7 @@ _COLUMNS = (
     Column("inside"),
     Column("milliseconds", "CPU time [ms]", "{:.1f}"),
 )
-"""Columns of the table of clusters, which `drake-oa perceive --help` explains."""
+"""Columns (key, heading, format, scale) of the table that `drake-oa perceive --help` explains."""
 
 
 def _table(results: Sequence[dict[str, Any]]) -> TextTable:

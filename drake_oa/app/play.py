@@ -39,10 +39,10 @@ def play(
       goal x, y, z [m]        position of the goal
       NAME: x, y, yaw         position [m] and yaw [rad] of an obstacle, in a folder of its name
 
-    The panel at the lower left shows time, method, minimum clearances, contacts, and the reason of
-    a hold. A change becomes active when the slider has rested for 0.3 s: a new motion starts at the
-    present configuration. Invalid settings are refused: the sliders return to the previous values,
-    and the panel shows the reason.
+    The panel at the lower left shows time, method, minimum clearances, contacts, and the reason if
+    the motion is held (stopped on its path). A change becomes active when the slider has rested for
+    0.3 s: a new motion starts at the present configuration. Invalid settings are refused: the
+    sliders return to the previous values, and the panel shows the reason.
 
     The last 20 motions are written to one log, as motions leg_1, leg_2 and so on for
     `drake-oa replay --motion` and `drake-oa plot`.

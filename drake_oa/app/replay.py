@@ -122,7 +122,7 @@ def export(log: Path, bag: Path, /) -> None:
         drake-oa export box.npz box.mcap
 
     Args:
-        log: log of `drake-oa run`, or of `drake-oa play` with its first motion.
+        log: log of `drake-oa run`, or of `drake-oa play`, of which the first motion is written.
         bag: MCAP file of the bag, which is replaced if it exists.
     """
     from drake_oa.common.bags import new_bag

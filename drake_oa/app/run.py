@@ -156,7 +156,8 @@ def run(  # noqa: PLR0913
         json: write the report to this file.
         log: write the log to this file, which is replaced if it exists.
         no_log: write no log.
-        write_bag: write the avoiding motion to this file, an MCAP bag of ROS 2; 37 MB a second.
+        write_bag: write the avoiding motion to this file, an MCAP bag of ROS 2; 37 MB of images for
+            each camera (640 x 480 pixels, 30 images/s) and simulated second.
         duration: stop each motion at this simulated time [s].
         hardware: execute the avoiding motion on a real arm instead of simulating it: on one behind
             Drake's LCM messages, or on a Franka Research 3 (pip install 'drake_oa[franka]').
@@ -399,7 +400,8 @@ def _add_motion(
     Args:
         this: settings of the run.
         name: name of the motion, "nominal" or "avoiding".
-        motion: function that runs the motion; its argument `on_step` is called once per period.
+        motion: function that runs the motion; its argument `on_step` is called once per period of
+            the movement primitive.
         panel: panel of a viewer page that is updated during the motion, or None.
     """
     from drake_oa.policy.dmp import normalized_time
@@ -432,7 +434,8 @@ def _report(this: _Run, json: Path | None, log_file: Path | None) -> int:
         log_file: file of the log, or None.
 
     Returns:
-        0, or `FAILED` if the avoiding motion missed the goal or was in contact.
+        0, or `FAILED` (1) if the avoiding motion was in contact, or ended neither at the goal nor
+        at --duration.
     """
     from drake_oa.runs.bag_log import write_log
     from drake_oa.runs.motion_log import MotionEnd, save_logs
