@@ -33,8 +33,8 @@ _SLOT_COUNT = 8
 """Number of obstacles for which Meshcat's scene tree has objects. An obstacle uses the slot whose
 number is its ID modulo this number."""
 _SHORTEST_SEGMENT = 2e-3
-"""Minimum length of each drawn segment of the executed path; a shorter segment is drawn later, with
-the next motion [m]."""
+"""Minimum length of each drawn segment of the executed path [m]. A frame at which the tool point is
+nearer to the end of the last segment draws none."""
 
 
 class MeshcatOverlay(LeafSystem):
@@ -174,18 +174,18 @@ class MeshcatOverlay(LeafSystem):
         self._meshcat.SetTransform(path, RigidTransform(R, 0.5 * (p_from + p_to)))
 
     def _show_path(self, path: str, visible: bool, time: float) -> None:
-        """Shows or hides all objects below a path of Meshcat's scene tree, from a given simulated
-        time of the recording on.
+        """Shows or hides all objects below a path of Meshcat's scene tree, in a recording from a
+        given simulated time on.
 
         Args:
             path: path in the scene tree.
             visible: whether the objects are visible.
-            time: simulated time [s].
+            time: simulated time of the change in the recording [s].
         """
         self._meshcat.SetProperty(path, "visible", visible, time)
 
     def _appear(self, path: str, context: Context) -> None:
-        """Shows the objects below a path of Meshcat's scene tree from the present time on, and
+        """Shows the objects below a path of Meshcat's scene tree from the time of a Context on, and
         hides them in earlier frames of a recording.
         """
         time, start = context.get_time(), context.get_discrete_state_vector()[0]

@@ -37,7 +37,8 @@ class Reading(NamedTuple):
 
     Attributes:
         time: simulated time from which the text is displayed [s].
-        text: lines on the state of the run, for example time, clearances and reason of a hold.
+        text: lines on the state of the run, for example time, clearances and the reason for which
+            the motion is held (stopped on its path).
         alert: warning that is displayed in red; empty: no warning.
     """
 
@@ -199,8 +200,11 @@ class LivePage:
         self.url = f"http://localhost:{self._server.server_port}"
 
     def pace(self) -> None:
-        """Ends a frame of the live page; before that, waits if the page needs longer than
-        `_MAX_LAG` to draw the previous frame.
+        """Sends the number of the next frame to the live page, if the page has drawn the previous
+        one, and waits if the page is late.
+
+        Up to `_MAX_LAG` after the previous number, the method returns at once, even if that frame
+        is not drawn. Later it waits until the page has drawn the frame or counts as closed.
         """
         while self._drawn_frame < self._frame:
             now = time.monotonic()

@@ -99,8 +99,8 @@ def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:
 
 @contextlib.contextmanager
 def recording(meshcat: Meshcat | None) -> Iterator[None]:
-    """Provides a context in which Meshcat's scene is recorded, and publishes the recording at its
-    end, even after an exception.
+    """Records Meshcat's scene in the `with` block, and makes the recording available in the browser
+    at its end, even after an exception.
 
     If `meshcat` is None, nothing is recorded.
     """
