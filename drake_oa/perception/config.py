@@ -59,7 +59,7 @@ class SegmentationConfig:
 @dataclass(config=BLOCK)
 class CameraNoise:
     """Block that adds the noise of a structured-light depth camera to simulated images, with
-    parameter values from the literature.
+    parameter values from publications and from measured images.
 
     The noise model, its values and their sources are in `drake_oa.world.depth_noise`.
     """

@@ -117,7 +117,8 @@ class Tracks(Frozen):
             the filtered position of a resting one.
         sides: (M, 3, 2) lowest and highest side (end) of the obstacle along each world axis,
             relative to the filtered position [m]; NaN while unknown.
-        area: (M,) largest visible area, perpendicular to the line of sight [m^2].
+        area: (M,) largest visible area, perpendicular to the line of sight [m^2]; it decreases by
+            1 % per frame while all sides are visible.
         is_moving: (M,) whether the obstacle moves.
         motion_evidence: (M,) fraction of the visible remembered points without an observed point
             near them, in [0, 1]: the slowly decaying maximum over the last frames.
@@ -173,7 +174,8 @@ class Tracks(Frozen):
 def new_tracks(p_W: FloatArray) -> Tracks:
     """Returns new tracks of M obstacles at the positions p_W (M, 3) in the world [m].
 
-    The tracks are at rest with unknown sides, and have ID 0 until the tracker numbers them.
+    The tracks are at rest, and have ID 0 until the tracker numbers them. Their sides (ends of the
+    obstacle along each world axis) are unknown, that is, NaN.
     """
     parts = {
         name: np.zeros((len(p_W), *part.shape[1:]), dtype=part.dtype)

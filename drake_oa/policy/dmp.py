@@ -401,7 +401,8 @@ class Trajectory(NamedTuple):
     Attributes:
         s: (n + 1,) normalized times t / (tau T), with demonstrated duration T and temporal scaling
             tau.
-        p: (n + 1, 3) positions [m], or rotation vectors [rad].
+        p: (n + 1, 3) positions of the tool point in the world frame [m], or rotation vectors r
+            from a fixed frame A to the tool frame E, R_WE = R_WA exp([r]) [rad].
         z: (n + 1, 3) derivatives dp/ds [m or rad].
     """
 
@@ -431,7 +432,7 @@ def roll_out(
             f = spread f_L(k).
         goal: (3,) goal position in the world frame [m], or rotation vector of the goal orientation
             [rad].
-        p: (3,) initial position in the world frame [m], or rotation vector [rad].
+        p: (3,) initial position in the world frame [m], or rotation vector from frame A [rad].
         z: (3,) initial derivative of p by normalized time [m or rad].
         k: initial phase.
         end: normalized time from the initial state to the end.

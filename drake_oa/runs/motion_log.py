@@ -85,8 +85,9 @@ guard_contact         (T,)           s         simulated time of the first conta
 guard_claim           (T,)           none      claim of passive motion safety that limits the speed:
                                                0 none, 1 (A) moving obstacles, 2 (B) unobserved
                                                space
-clearance_reduction   (T,)           m         reduction of the requested clearance because start or
-                                               goal leaves less; (0,): unknown
+clearance_reduction   (T,)           m         requested clearance of the tool minus the largest
+                                               clearance required between any link and any
+                                               obstacle, which start or goal reduces; (0,): unknown
 motion_source         (T,)           none      source of the motion: -1 none, 0 nominal motion, 1
                                                regressor chain, 2 search, 3 path in joint space
 motion_end            ()             s         time at which the motion terminated, after which the

@@ -115,9 +115,9 @@ _SPREADS = ((0.15, 0.4, 0.9), (0.4, 1.0), (0.2, 0.5), (0.0,))
 each of four kinds; one value of its kind is drawn for each maneuver.
 
 Offsets of the first kind (in all joints) and the second (in some) are relative to the configuration
-in which the arm comes to rest, those of the third to a point on the way from there to the verified
-motion (checked by simulation). The fourth kind has no offsets: its targets are drawn uniformly
-within the joint limits."""
+in which the arm would rest after full braking from its present state. Those of the third kind are
+relative to a point on the way from there to the verified motion (checked by simulation). Targets of
+the fourth kind are drawn uniformly within the joint limits, and its value 0 has no effect."""
 _NO_LEGS = Legs(np.zeros((0, 2, 0)), np.zeros((0, 2, 0)), np.zeros(0))
 """Empty set of maneuvers, which are joint motions of two legs each."""
 _N_PARENTS = 8

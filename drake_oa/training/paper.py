@@ -77,7 +77,7 @@ def build_paper_set(lattice: PaperLattice, action_level: ActionLevelName) -> Pap
     Args:
         lattice: lattice of ellipses and coupling-term parameters.
         action_level: equations of motion: "released" (code of Pairet et al.; alpha in rad/s) or
-            "running" (this project's; alpha per demonstrated duration).
+            "running" (this project's; alpha in units of 1/T, with the demonstrated duration T).
 
     Returns:
         The training set. Its rows are sorted by lambda1', lambda2', alpha, psi and kappa.
@@ -151,7 +151,7 @@ def paper_recipe(name: str, iterations: int | None = None) -> PaperRecipe:
     Args:
         name: "paper" for RC(lambda') and RC(lambda', Delta) by the equations of motion in the
             released code of Pairet et al., or "paper_running" for RC(lambda', Delta) by those of
-            this project, with alpha per demonstrated duration.
+            this project, with alpha in units of 1/T, T being the demonstrated duration.
         iterations: maximum number of iterations of each training round; None: as in the recipe.
     """
     rounds = {

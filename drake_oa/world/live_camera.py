@@ -42,7 +42,7 @@ initialization [s]."""
 @dataclass(frozen=True)
 class ExternalInputs:
     """Inputs of cameras outside the simulation: the measured plant state, and functions that read
-    and convert the clocks.
+    the wall clock and convert its time to simulated time.
 
     Attributes:
         plant_state: output port (n,) of the measured plant state [q, v]; None: the state of the
@@ -157,8 +157,9 @@ class LiveCamera(TimedCamera):
             wait: maximum time to wait for the first image [s]; 0: no waiting.
             max_age: maximum age of an image at its reception, by the wall clock [s]; older images
                 are rejected.
-            external: functions that read and convert the clocks; None: the defaults of
-                `ExternalInputs`. The camera does not use the field `plant_state`.
+            external: functions that read the wall clock and convert its time to simulated time;
+                None: the defaults of `ExternalInputs`. Its field `plant_state` is ignored: the
+                camera reads the plant state at its input port.
         """
         super().__init__(intrinsics, num_states, _LiveState())
         external = external or ExternalInputs()

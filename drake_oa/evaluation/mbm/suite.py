@@ -60,7 +60,7 @@ def draw_problem(text: ProblemText, robot: str, seen: bool) -> str:
     """Converts a motion planning problem to the YAML text of a scenario.
 
     Args:
-        text: YAML texts of the problem.
+        text: MoveIt scene and planning request of the problem, both as YAML text.
         robot: YAML text of a scenario with the problem's robot.
         seen: whether two depth cameras perceive the obstacles; else perception is ground truth.
     """
