@@ -65,8 +65,9 @@ class LatencyModel:
 _account: ContextVar[Counter[str]] = ContextVar("work")
 """Counters of the computing work in the innermost `with counted()` block.
 
-`counted` installs new counters at the beginning of the block, and `count` increases them. The
-counters are those of `counted`: "searches", "steps", "configurations" and "claims"."""
+`counted` installs new counters at the beginning of the block, and `count` increases them. They are
+"searches" (batches of roll-outs), "steps" (of roll-outs), "configurations" (whose clearance is
+computed) and "claims" (checks of trajectories for passive motion safety)."""
 
 
 @contextmanager

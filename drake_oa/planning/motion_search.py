@@ -284,7 +284,7 @@ class MotionSearch:
 
         Args:
             current: motion that is executed.
-            inputs: inputs of the decision.
+            inputs: configuration and goal of the arm, scene and proposals for this decision.
         """
         motion, policy = current.prediction.motion, inputs.policy
         if policy.speed > 0.0 or not len(motion.q):
@@ -328,7 +328,7 @@ class MotionSearch:
         docstring of `MotionSearch` has the equation.
 
         Args:
-            inputs: inputs of the decision.
+            inputs: configuration and goal of the arm, scene and proposals for this decision.
             ends: (m, n) possible goal configurations [rad], of which the one with the largest
                 distance counts for each body and geometry; (0, n): the goal has no effect.
             fraction: fraction of the requested clearance that is required [-].
@@ -379,7 +379,8 @@ class MotionSearch:
 
         Args:
             current: current motion.
-            inputs: inputs of the decision, which contain the state at which the motions start.
+            inputs: configuration and goal of the arm, scene and proposals for this decision;
+                the motions start at its `policy` and `q`.
             model: collision model of the arm, with the required clearances.
             more: further arguments of `ArmSearch`: costs of sides, warm start, maximum latency.
         """
@@ -412,7 +413,7 @@ class MotionSearch:
 
         Args:
             current: current motion, with the best candidates of the previous search.
-            inputs: inputs of the decision.
+            inputs: configuration and goal of the arm, scene and proposals for this decision.
 
         Returns:
             Best motion with its prediction, and the data with which the next search starts.
@@ -476,7 +477,7 @@ class MotionSearch:
 
         Args:
             current: motion to roll out.
-            inputs: inputs of the decision.
+            inputs: configuration and goal of the arm, scene and proposals for this decision.
             search: search that rolls out candidates.
             params: (1, 6) parameters of the motion's single coupling term: angle of the side [rad];
                 position of its center along and beside the line from start to goal, over its length
@@ -538,7 +539,7 @@ class MotionSearch:
         """Computes collision-free configurations of the arm at the goal.
 
         Args:
-            inputs: inputs of the decision.
+            inputs: configuration and goal of the arm, scene and proposals for this decision.
             seeds: number of random initial configurations of the inverse kinematics, in addition to
                 the preferred configuration at the goal.
 
@@ -580,7 +581,7 @@ class MotionSearch:
 
         Args:
             current: current motion.
-            inputs: inputs of the decision.
+            inputs: configuration and goal of the arm, scene and proposals for this decision.
 
         Returns:
             Motion that imitates the first path whose imitation the arm can follow to the goal
@@ -621,7 +622,7 @@ class MotionSearch:
         Args:
             corners: (C, n) corners of the path, from the current configuration to the goal [rad].
             current: current motion.
-            inputs: inputs of the decision.
+            inputs: configuration and goal of the arm, scene and proposals for this decision.
             model: collision model for which the path was planned.
 
         Returns:
@@ -679,7 +680,8 @@ class MotionSearch:
         """Computes the minimum distance of each body of the arm to each geometry along a motion.
 
         Args:
-            inputs: inputs of the decision, with K collision geometries.
+            inputs: configuration and goal of the arm, proposals, and scene with K collision
+                geometries.
             q: (T, n) configurations of the motion [rad].
 
         Returns:
@@ -712,7 +714,8 @@ class MotionSearch:
         """Returns the label of the collision geometry nearest to the arm; "" without geometries.
 
         Args:
-            inputs: inputs of the decision, with K collision geometries.
+            inputs: configuration and goal of the arm, proposals, and scene with K collision
+                geometries.
             d: (G, K) distances of the arm's G groups of covering spheres to these geometries [m].
         """
         return inputs.scene.labels[int(d.min(axis=0).argmin())] if d.size else ""

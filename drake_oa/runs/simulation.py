@@ -208,8 +208,9 @@ class MotionMonitor:
             scenario: configuration of the diagram.
             duration: time at which the simulation ends in any case [s]; None: the time limit of
                 the motion is `MAX_TIME_SCALING` demonstrated durations after the last move of the
-                goal. The simulation then ends at most `MAX_SETTLING_TIME` after this limit and the
-                last change of obstacles, goal and faults.
+                goal. The simulation, which waits until everything is at rest, ends at most
+                `MAX_SETTLING_TIME` after this time limit or the last change of obstacles, goal and
+                faults, whichever is later.
             on_step: function that is called once per period of the policy with the monitor and the
                 root Context.
         """

@@ -142,8 +142,8 @@ _VIOLATION_COSTS: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
 """Additional cost of a trajectory that violates claim "A" or "B" of passive motion safety [s]; less
 than the cost of any predicted contact.
 
-The module `passive_safety` defines the claims, which limit the speed toward moving obstacles (A)
-and unobserved space (B)."""
+"A": a part of the arm that a moving obstacle may reach rests or moves away from it. "B": no part is
+faster than `v_unseen` toward unobserved space from which an obstacle may reach it."""
 _BRAKE_SAMPLES = 8
 """Number of configurations along the braking motion that are checked for passive motion safety, if
 the arm brakes after one decision period [-]."""
@@ -431,7 +431,7 @@ class GuardSearch:
 
         Args:
             q: (T, n) configurations along the trajectory [rad].
-            inputs: inputs of the decision.
+            inputs: state of the arm, scene and verified motion for the guard's decision.
 
         Returns:
             "A": the arm approaches a moving obstacle that may reach it; "B": a point of the arm is
@@ -511,7 +511,7 @@ class GuardSearch:
 
         Args:
             q: (N, T, n) configurations along the maneuvers [rad].
-            inputs: inputs of the decision, of which `q_path` is used.
+            inputs: inputs of the guard's decision, of which `q_path` is used.
         """
         deviation = np.abs(q - inputs.q_path) / self.speed
         return_time = deviation.max(axis=2)
@@ -524,8 +524,8 @@ class GuardSearch:
 
         Args:
             q: (N, T, n) configurations along the trajectories [rad].
-            inputs: inputs of the decision; `q_path` determines the orientation on the verified
-                motion.
+            inputs: inputs of the guard's decision; `q_path` determines the orientation on the
+                verified motion.
 
         Returns:
             (N, 1 + T / 2) angles: first at `inputs.q`, then at every second configuration of q.
@@ -544,7 +544,7 @@ class GuardSearch:
         while the speed on the verified motion (checked by simulation) changes to a new value.
 
         Args:
-            inputs: inputs of the decision, with the current rate.
+            inputs: inputs of the guard's decision, with the current rate.
             scale: new value of the speed, as a fraction of full speed, in [0, 1].
         """
         max_change = inputs.full_rate / self._hold_time * self._times
@@ -556,7 +556,7 @@ class GuardSearch:
         (checked by simulation) at a fraction of full speed.
 
         Args:
-            inputs: inputs of the decision; without a verified motion the arm rests.
+            inputs: inputs of the guard's decision; without a verified motion the arm rests.
             scale: fraction of full speed, in [0, 1].
         """
         motion = inputs.motion
@@ -571,7 +571,7 @@ class GuardSearch:
 
         Args:
             legs: N maneuvers.
-            inputs: inputs of the decision.
+            inputs: state of the arm, scene and verified motion for the guard's decision.
 
         Returns:
             (N, T, n) configurations [rad].
@@ -624,7 +624,7 @@ class GuardSearch:
 
         Args:
             maneuvers: first candidates: the active maneuver, if any, and braking.
-            inputs: inputs of the decision.
+            inputs: state of the arm, scene and verified motion for the guard's decision.
         """
         p, max_speed = self._parameters, self.speed * inputs.speed_fraction
         q_rest, q_path = self.stop(inputs.q, inputs.v), inputs.q_path
@@ -673,7 +673,7 @@ class GuardSearch:
         Args:
             legs: N candidate maneuvers.
             cost: (N,) costs of the maneuvers [s].
-            inputs: inputs of the decision.
+            inputs: state of the arm, scene and verified motion for the guard's decision.
         """
         rng = np.random.default_rng([self._parameters.seed, inputs.decision_count, 1])
         N, n = self._parameters.refinements, len(inputs.q)
@@ -751,7 +751,7 @@ class _GuardModel:
     simulation) achieves. The required distance between links is reduced likewise, from r_0 = 5 mm.
 
     Attributes:
-        inputs: inputs of the decision.
+        inputs: state of the arm, scene and verified motion for the guard's decision.
         resting, moving: collision models with these required clearances.
     """
 
@@ -767,7 +767,7 @@ class _GuardModel:
 
         Args:
             chain, arm_spheres: kinematics of the arm, and spheres that cover it.
-            inputs: inputs of the decision.
+            inputs: state of the arm, scene and verified motion for the guard's decision.
             padding: position uncertainty of moving obstacles [m].
             verified_self_distance: minimum distance between links along the verified motion [m].
         """

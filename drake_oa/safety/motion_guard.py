@@ -263,8 +263,9 @@ class MotionGuard(LeafSystem):
       1 slow (follow it at reduced speed), 2 wait (rest on it), 3 evade, 4 brake.
     - guard_contact: (1,) simulation time of the first contact predicted on the verified motion [s];
       inf: no contact, or the arm is not on this motion.
-    - guard_claim: (1,) claim of passive motion safety that limits the speed: 0 none, 1 claim (A)
-      about moving obstacles, 2 claim (B) about unobserved space.
+    - guard_claim: (1,) claim of passive motion safety that limits the speed: 0 none, 1 claim (A), a
+      limit toward moving obstacles that may reach the arm, 2 claim (B), a limit toward unobserved
+      space.
 
     While no maneuver is active, a damped Gauss-Newton step in each step of the command places the
     tool at the desired pose, and the null space follows the nominal posture. Once per `period`,

@@ -57,8 +57,8 @@ _BALL_SAMPLES = np.vstack([0.5 * DIRECTIONS, DIRECTIONS])
 """Sample points (52, 3) in the unit ball without its center, scaled to test whether the space near
 the arm is observed [-]."""
 _PARTS = 8
-"""Number of subsets of the arm's spheres whose speeds toward unobserved space, claim (B) of passive
-motion safety, are checked one after another [-]."""
+"""Number of subsets of the arm's spheres that are checked one after another for speeds toward
+unobserved space above `v_unseen`, which violate claim (B) of passive motion safety [-]."""
 _SAMPLE_RADII = np.linalg.norm(_BALL_SAMPLES, axis=1)
 """Distances (52,) from the center of the unit ball to its sample points, which are scaled to test
 whether the space near the arm is observed: 0.5 or 1 [-]."""

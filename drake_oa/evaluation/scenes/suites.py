@@ -245,10 +245,11 @@ def _dead_zone(_: Generator, count: int) -> Scenes:
 def _familiar_settings() -> tuple[Setting, ...]:
     """Returns the 12 settings for familiar scenes, as in Pairet et al., RA-L 2019.
 
-    They are six models, each with the temporal scaling tau and with tau = 1.
-
-    A model is a regressor chain, which predicts the parameters of the coupling term, and a
-    requested clearance Delta. For RC(lambda'), which has no requested clearance, Delta is 0.
+    Familiar scenes have an ellipse of the training set. The settings are six models, each with the
+    temporal scaling tau and with tau = 1. A model is a regressor chain, which predicts the
+    parameters of the coupling term, and a requested clearance Delta. The inputs of the chain
+    RC(lambda', Delta) are the semi-axes lambda' of the ellipse, and Delta. Those of RC(lambda') are
+    the semi-axes alone; its Delta is 0.
     """
     models = {f"RC(lambda',{delta:g})": delta for delta in FAMILIAR_CLEARANCES}
     return tuple(
