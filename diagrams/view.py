@@ -38,11 +38,12 @@ def add_view(
 def make_overlay(
     scenario: Scenario, station: StationModel | None, meshcat: Meshcat
 ) -> MeshcatOverlay:
-    """Creates the system that draws intermediate results of the layers in the viewer.
+    """Creates the system that draws results of perception, inference and planning in the viewer.
 
     It also sets background and camera pose of the viewer. The field `view.show` of the scenario
-    selects the results that are displayed at first; null: cost rings and paths, and for
-    `inference: !Paper` also the ellipsoids.
+    selects the results that are displayed at first; null: cost rings (costs of passing each
+    obstacle in the directions around it) and paths of the tool, and for `inference: !Paper` also
+    the ellipsoids that enclose the obstacles.
     """
     set_scene_style(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     show = scenario.view.show

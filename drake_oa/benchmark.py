@@ -88,7 +88,8 @@ def timed_systems() -> Iterator[dict[str, float]]:
     Python that are created in the `with` block.
 
     Yields:
-        Wall time [s] by the name of the system, updated at each callback.
+        Name of the system -> sum of the wall times of its callbacks until now, without those of
+        other systems that they call [s].
     """
     wall_times: dict[str, float] = defaultdict(float)
     inner = [0.0]

@@ -344,7 +344,7 @@ def trial_suites(
 def trial_metrics(
     runs: Mapping[int, Mapping[str, Any]], published: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """Returns the metrics of one row of the reproduced Table III, with the published values if any.
+    """Returns the metrics of one row of the reproduced Table III, and the published values.
 
     The keys are:
 
@@ -354,6 +354,7 @@ def trial_metrics(
     - clearance_mean, clearance_min: statistics of the minimum tool clearance of a run [m].
     - goal_error_mean, goal_error_max: statistics of the distance to the goal at the end [m].
     - duration_median: median duration of a run [s].
+    - the keys of `published`: the values that the paper printed.
 
     Args:
         runs: number of a trial -> result of its run, see `panda.evaluation.run_and_evaluate`.

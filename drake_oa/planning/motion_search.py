@@ -284,7 +284,7 @@ class MotionSearch:
 
         Args:
             current: motion that is executed.
-            inputs: configuration and goal of the arm, scene and proposals for this decision.
+            inputs: configuration and goal of the arm, scene, and proposed coupling terms and route.
         """
         motion, policy = current.prediction.motion, inputs.policy
         if policy.speed > 0.0 or not len(motion.q):
@@ -328,7 +328,7 @@ class MotionSearch:
         docstring of `MotionSearch` has the equation.
 
         Args:
-            inputs: configuration and goal of the arm, scene and proposals for this decision.
+            inputs: configuration and goal of the arm, scene, and proposed coupling terms and route.
             ends: (m, n) possible goal configurations [rad], of which the one with the largest
                 distance counts for each body and geometry; (0, n): the goal has no effect.
             fraction: fraction of the requested clearance that is required [-].
@@ -379,10 +379,11 @@ class MotionSearch:
 
         Args:
             current: current motion.
-            inputs: configuration and goal of the arm, scene and proposals for this decision;
-                the motions start at its `policy` and `q`.
+            inputs: configuration and goal of the arm, scene, and proposed coupling terms and route;
+                motions start at its configuration `q` and state `policy` of the primitive.
             model: collision model of the arm, with the required clearances.
-            more: further arguments of `ArmSearch`: costs of sides, warm start, maximum latency.
+            more: further arguments of `ArmSearch`: costs of passing an obstacle in each direction,
+                warm start, maximum latency.
         """
         demo = current.command.demonstration
         dmp = demo.position or self._dmp
@@ -413,7 +414,7 @@ class MotionSearch:
 
         Args:
             current: current motion, with the best candidates of the previous search.
-            inputs: configuration and goal of the arm, scene and proposals for this decision.
+            inputs: configuration and goal of the arm, scene, and proposed coupling terms and route.
 
         Returns:
             Best motion with its prediction, and the data with which the next search starts.
@@ -477,7 +478,7 @@ class MotionSearch:
 
         Args:
             current: motion to roll out.
-            inputs: configuration and goal of the arm, scene and proposals for this decision.
+            inputs: configuration and goal of the arm, scene, and proposed coupling terms and route.
             search: search that rolls out candidates.
             params: (1, 6) parameters of the motion's single coupling term: angle of the side [rad];
                 position of its center along and beside the line from start to goal, over its length
@@ -539,7 +540,7 @@ class MotionSearch:
         """Computes collision-free configurations of the arm at the goal.
 
         Args:
-            inputs: configuration and goal of the arm, scene and proposals for this decision.
+            inputs: configuration and goal of the arm, scene, and proposed coupling terms and route.
             seeds: number of random initial configurations of the inverse kinematics, in addition to
                 the preferred configuration at the goal.
 
@@ -581,7 +582,7 @@ class MotionSearch:
 
         Args:
             current: current motion.
-            inputs: configuration and goal of the arm, scene and proposals for this decision.
+            inputs: configuration and goal of the arm, scene, and proposed coupling terms and route.
 
         Returns:
             Motion that imitates the first path whose imitation the arm can follow to the goal
@@ -622,7 +623,7 @@ class MotionSearch:
         Args:
             corners: (C, n) corners of the path, from the current configuration to the goal [rad].
             current: current motion.
-            inputs: configuration and goal of the arm, scene and proposals for this decision.
+            inputs: configuration and goal of the arm, scene, and proposed coupling terms and route.
             model: collision model for which the path was planned.
 
         Returns:
@@ -680,8 +681,8 @@ class MotionSearch:
         """Computes the minimum distance of each body of the arm to each geometry along a motion.
 
         Args:
-            inputs: configuration and goal of the arm, proposals, and scene with K collision
-                geometries.
+            inputs: configuration and goal of the arm, proposed coupling terms and route, and scene
+                with K collision geometries.
             q: (T, n) configurations of the motion [rad].
 
         Returns:
@@ -714,8 +715,8 @@ class MotionSearch:
         """Returns the label of the collision geometry nearest to the arm; "" without geometries.
 
         Args:
-            inputs: configuration and goal of the arm, proposals, and scene with K collision
-                geometries.
+            inputs: configuration and goal of the arm, proposed coupling terms and route, and scene
+                with K collision geometries.
             d: (G, K) distances of the arm's G groups of covering spheres to these geometries [m].
         """
         return inputs.scene.labels[int(d.min(axis=0).argmin())] if d.size else ""

@@ -760,8 +760,10 @@ def _roll_some(
         abort_below: (N,) clearance margins (distance minus required clearance) below which a
             roll-out is aborted [m].
         out: (N, 6) results, set in place: clearance margins of tool, links and self-distance [m],
-            maximum pose error of the tool [m, rad], maximum ratio of a joint's speed to its limit,
-            and number of checked samples, fewer than T if the roll-out is aborted or the path ends.
+            largest absolute element of the tool's position error [m] and rotation error [rad],
+            maximum ratio of a joint's speed to its limit,
+            and number of checked samples, fewer than T if the roll-out is aborted or the tool's
+            path, whose later samples are NaN, has arrived.
         Q: (N, T, n) configurations, set in place [rad].
     """
     T, n = Q.shape[1:]

@@ -243,8 +243,9 @@ def _lattice(
     Args:
         geometry: shape.
         inset: distance of the outermost points from the bounding box of the shape [m].
-        step: maximum spacing of the points [m].
-        refinement: number of parts into which the spacing is divided.
+        step: maximum spacing of the points along each axis before refinement [m].
+        refinement: number of equal parts into which the spacing is divided. The refined lattice
+            contains the points of the unrefined one.
     """
     half = np.maximum(geometry.half_extents - inset, 0.0)
     if _is_rod(geometry):

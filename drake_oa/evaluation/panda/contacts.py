@@ -132,9 +132,11 @@ def _find_contacts(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[s
         log: log of the run.
 
     Returns:
-        For each contact a dictionary with the keys time, link, obstacle, closing_speed,
-        closing_speed_max, arm_at_rest, receding and energy of `contact_events`, and end, the last
-        instant of the contact [s].
+        For each contact a dictionary with the keys time and end (first and last instant [s]), link,
+        obstacle, closing_speed and closing_speed_max (speed of the arm's contact point into the
+        object at the first instant, and its maximum until the end [m/s]), arm_at_rest, receding
+        (whether closing_speed is not positive) and energy (kinetic energy of the robot at the first
+        instant [J]).
     """
     events = list[dict[str, Any]]()
     current: dict[str, dict[str, Any]] = {}
