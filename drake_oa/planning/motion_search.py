@@ -206,18 +206,19 @@ class MotionSearch:
         unchanged executable
         ========= ========== ======= ===========================================================
         yes       yes        any     keep the motion
-        yes       no         any     keep the hold, if no goal configuration is collision-free
+        yes       no         any     remain held, if no goal configuration is collision-free
         any       any        no      search for a motion; hold if the arm cannot execute it
         any       any        yes     search for a motion; if none is feasible, plan in joint space
         ========= ========== ======= ===========================================================
 
-        A motion is executable if it is selected and not held, and if the arm has not left it. The
-        arm leaves its motion by an evasive maneuver of `MotionGuard`; when it rests afterwards, the
-        joint-space plan precedes the search. The time between two plans is at least 0.5 s
-        (`_REPLAN_PERIOD`).
+        A held motion is stopped on its path. A motion is executable if it is selected and not held,
+        and if the arm has not left it. The arm leaves its motion by an evasive maneuver of
+        `MotionGuard`; when it rests afterwards, the joint-space plan precedes the search. The time
+        between two plans is at least 0.5 s (`_REPLAN_PERIOD`).
 
-        If start or goal have changed, other than by a restart that the previous decision has
-        commanded, the search does not use the best candidates of earlier searches.
+        If the goal has moved, or the movement primitive has another start although the previous
+        decision did not command its restart, the search does not use the best candidates of earlier
+        searches.
 
         Args:
             previous: result of the previous decision.

@@ -627,10 +627,11 @@ class ArmSearch(Search):
         )
 
     def sample_times(self, count: int) -> FloatArray:
-        """Returns the normalized times (count,) of a roll-out's samples, the first of which is now.
+        """Returns the normalized times (count,) of a roll-out's samples.
 
-        Normalized time is time over tau T, with the demonstrated duration T and the temporal
-        scaling tau.
+        The first is the current normalized time s of the motion in progress; `every` integration
+        steps are between two samples. Normalized time is time since the start of the motion over
+        tau T, with the demonstrated duration T and the temporal scaling tau.
         """
         return np.asarray(self.scene.s + self.every * self.ds * np.arange(count))
 

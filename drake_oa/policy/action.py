@@ -262,11 +262,13 @@ class CouplingInputs(Frozen):
             ellipsoids: M obstacles; None: the input port ellipsoids_W is not connected. Then only
                 coupling terms act that roll-outs (simulations) have verified, because these have
                 their own centers.
-            coupling: parameters of M coupling terms; None: no coupling terms. Their normals of the
-                planes of rotation, temporal scaling and hold take precedence over those of the
-                route.
-            route: sides on which the M obstacles are passed. Guidance, a coupling term, turns the
-                motion toward these sides. None: no guidance.
+            coupling: parameters of M coupling terms; None: no coupling terms. Its normals of the
+                planes of rotation, its temporal scaling, and its reason for holding the motion
+                (stopping it on its path) take precedence over those that result from the route.
+            route: sides on which the M obstacles are passed, length of the path past them, from
+                which the temporal scaling is computed, and whether they block the path, which holds
+                the motion. Guidance, a coupling term, turns the motion toward these sides. None: no
+                guidance.
 
         Raises:
             ValueError: if coupling or route do not have one row per ellipsoid, alpha or kappa is

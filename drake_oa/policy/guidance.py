@@ -51,7 +51,8 @@ class Obstacles(NamedTuple):
         semi_axes: (M, 3) semi-axes of the ellipsoids [m].
         terms: (M, 12) coupling terms (turning rates of the motion) at full strength, without the
             fading near the goal. The columns are the center of the term (3), alpha, psi, kappa,
-            the guidance heading (3), here zero, and the normal (3) of the plane in which the
+            the guidance heading (3), the direction past the obstacle on the selected side, which is
+            zero here and computed in each step, and the normal (3) of the plane in which the
             obstacle is passed, zero if no side is selected.
         direction: (M, 3) unit vectors omega_d in the world frame, from the baseline (line from
             start to goal) to the side on which each obstacle is passed.

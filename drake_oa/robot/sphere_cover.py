@@ -289,9 +289,12 @@ def _select_balls(
     Args:
         geometries, scene: shapes of the body, as a sequence and as arrays.
         protrusion: requested protrusion of the balls from the shapes [m].
-        min_half: half the edge of the smallest cubic cells that prove the cover [m]. Half their
-            diagonal is subtracted from the radii here, and added to them later.
-        refinement: number of parts into which the lattice spacing is divided.
+        min_half: half the edge of the smallest cubic cells by which the caller later checks that
+            the balls cover the shapes [m]. The radii are smaller by half the diagonal of such a
+            cell, so that balls that cover the sample points, and are then enlarged by it, can
+            cover the cells around the points.
+        refinement: number of parts into which the spacing of the lattice of candidate centers is
+            divided.
         points: (N, 3) sample points in the frame of the body [m].
 
     Returns:

@@ -95,7 +95,8 @@ FAMILIAR_CLEARANCES = (0.05, 0.10, 0.15, 0.20, 0.25)
 
 Its scenes are the ellipses of the training set of Pairet et al., RA-L 2019."""
 MARGIN = 0.05
-"""Minimum distance of a random obstacle from start and goal, along the line through both [m]."""
+"""Minimum distance from the surface of a random obstacle to start and goal, along the line through
+both [m]."""
 POINT_RADIUS = 0.025
 """Radius of the point-like obstacle in the dead-zone figure of Pairet et al. [m].
 
