@@ -14,19 +14,18 @@ the reach
 
 of the point's position c_i(t_k). The ball of radius rho_i around c_i(t_k) is sampled at the places
 p_ij = c_i + a_j rho_i n_j: its center (a_j = 0), and in 26 directions n_j at half and at full
-radius (a_j = 1/2 and 1). A place is observed free if for some camera it is in the image, its depth
-is within the camera's range, and its depth is less than the true depth of its pixel; in noisy
+radius (a_j = 1/2 and 1). A place is observed free if, in the image of some camera, its depth is
+within the camera's range and less than the true depth of its pixel. If perception uses noisy
 images, a pixel without a surface in the range of the camera observes nothing. A place is unobserved
 if at s it was neither observed free nor occupied by true collision geometry or the arm. The point
-is fully observed if none of its places is unobserved. Let d_i(t) be the distance of c_i(t) to the
-collision geometries that move at s, at their poses of time s. The claims are violated at t_k, with
-the next logged instant t_(k+1), if for some i
+is fully observed if none of its places is unobserved. Let d_i(t) be the distance from c_i(t) to the
+nearest collision geometry of those that move at s, at their poses of time s. With the next logged
+instant t_(k+1) and e = 0.02 m/s, the claims are violated at t_k if for some point i
 
-    (A)  the point is fully observed,  d_i(t_k) <= rho_i,
-         and  (d_i(t_k) - d_i(t_(k+1))) / (t_(k+1) - t_k) > e
-    (B)  u_i . n_j > v_unseen at an unobserved place j; at its center: |u_i| > v_unseen
-
-with e = 0.02 m/s.
+    (A)  the point is fully observed, a moving geometry can reach it, d_i(t_k) <= rho_i,
+         and the point approaches,  (d_i(t_k) - d_i(t_(k+1))) / (t_(k+1) - t_k) > e
+    (B)  the point is fast toward an unobserved place p_ij,  u_i . n_j > v_unseen;
+         if p_ij is the center c_i itself,  |u_i| > v_unseen
 
 On (A): an object moves at s if its speed exceeded 1 mm/s at some time from s - 2 s to s, since an
 object that pauses may move again. The claim assumes that an object at rest for 2 s stays at rest
@@ -62,27 +61,27 @@ from drake_oa.scenario.sources import camera_configs
 from drake_oa.world.delayed_camera import BackgroundCamera
 
 V_UNSEEN = 0.25
-"""Maximum speed of a point of the arm toward a place that no camera observes as free, by claim (B)
-of passive motion safety [m/s]."""
+"""Speed limit in claim (B) of passive motion safety [m/s]: maximum speed of a point of the arm
+toward a place that no camera observes as free."""
 _MAX_REST_SPEED = 0.02
 """Speed e toward an obstacle up to which a point of the arm counts as at rest in claim (A) of
 passive motion safety [m/s]: a point rests or recedes before a moving obstacle can reach it."""
 _MAX_DISTANCE = 1e3
-"""Upper bound of the computed distances from the arm to moving collision geometry, and their value
-if no geometry moves [m]."""
+"""Upper bound of the computed distances from the arm to moving collision geometry [m]. If no
+geometry moves, all distances have this value."""
 _SURFACE_MARGIN = 0.01
 """Distance from the surface of an object or the arm up to which a place counts as occupied, since
 the pixels of depth images have a finite size [m]."""
 _MIN_SPEED, _MAX_SPEED = 1e-3, 100.0
-"""Speeds between which an object counts as moving [m/s]. A higher speed between two samples is that
-of an object that appears or vanishes, which is no motion."""
+"""Speeds between which an object counts as moving [m/s]. An object that appears or vanishes between
+two samples of its trajectory has a higher speed, but does not count as moving."""
 _PAUSE = 2.0
 """Time for which an object that has come to rest still counts as moving, since it may move again
 [s]."""
 _SAMPLES = np.vstack([np.zeros((1, 3)), 0.5 * DIRECTIONS, DIRECTIONS])
 """Sample points (53, 3) in the unit ball [-]: the center, and 26 directions at half and at full
-radius. Scaled and moved to a point of the arm, they are the places near the point at which it is
-checked whether a camera has observed them."""
+radius. Scaled by the reach of an object and moved to a point of the arm, they are the places for
+which claims (A) and (B) check whether a camera has observed them."""
 
 
 def claim_violations(
@@ -143,15 +142,15 @@ def claim_violations(
 
 
 def _row(world: TrueWorld, time: float) -> int:
-    """Returns the index of the sample of the true trajectories in `world` that is nearest to a time
-    [s].
+    """Returns the index of the sample in `world`, which has one every 8 ms from time 0 on, that is
+    nearest to a time [s].
     """
     return round(min(max(time / STEP, 0.0), len(world.ball) - 1.0))
 
 
 def _moves_at(world: TrueWorld, time: float) -> BoolArray:
-    """Computes a mask (K,) of those of the K collision geometries of `world` that move at a time
-    [s], or moved less than 2 s (`_PAUSE`) before.
+    """Computes for each of the K collision geometries of `world` whether it moves at a time [s], or
+    moved less than 2 s (`_PAUSE`) before: (K,).
     """
     position = world.ball[_row(world, time - _PAUSE) : _row(world, time) + 1, :, :3]
     speed = np.linalg.norm(np.diff(position, axis=0), axis=2) / STEP

@@ -5,18 +5,19 @@ A contact of a link with an object ends when they have been apart for 0.1 s. Its
 the speed of the arm's contact point along the contact normal, positive into the object. It is
 computed from the logged velocities one instant earlier, before the impact has changed them.
 
-- Avoidable by physics: at least one of 500 joint motions from the logged joint state 0.2 s before
-  the contact is collision-free until 1.5 s after it. A motion has one or two legs, each
-  time-optimal to a random configuration within the limits of position, velocity and acceleration.
-  Collisions are checked with spheres that enclose the links. Such a motion is a proof; its absence
-  proves nothing.
-- Avoidable by view: a collision-free motion exists from one of the joint states 0.05 to 0.5 s
-  (`LEADS`) before the contact, and the obstacle's velocity was observed in time, within 20 % of the
-  true one or 0.02 m/s. In time means in the 0.2 s before a deadline, which is 0.1 s before the
-  latest start of such a motion.
+- Avoidable by physics: at least one of 500 random joint motions from the logged joint state 0.2 s
+  before the contact is collision-free until 1.5 s after the contact. A motion has one or two legs,
+  each time-optimal to a random configuration within the limits of position, velocity and
+  acceleration. Collisions are checked with spheres that enclose the links. A collision-free motion
+  proves that the arm could avoid the contact; that none is found proves nothing.
+- Avoidable by view: the arm could avoid the contact after perception had observed the obstacle's
+  velocity. Random joint motions start at several times, 0.05 to 0.5 s (`LEADS`) before the contact.
+  At least one of them is collision-free, and 0.1 to 0.3 s before the latest start of such a motion
+  the obstacle's velocity was observed. The error of the velocity was at most 20 % of the true speed
+  or 0.02 m/s, whichever is larger.
 
-A contact that begins within 1 s after the end of another one is not assessed itself: it has the
-same avoidability, since the obstacle may still press the arm.
+A contact that begins before, or within 1 s after, the end of an earlier one is not assessed itself.
+It has the avoidability of the earlier one, since the obstacle may still press the arm.
 """
 
 from __future__ import annotations
@@ -39,11 +40,11 @@ MOTION_COUNT = 500
 """Number of random joint motions from one joint state among which a collision-free one is searched.
 """
 LEAD = 0.2
-"""Time before a contact from which a collision-free joint motion must exist for the contact to
-count as avoidable by physics [s]."""
+"""Time before a contact at which a collision-free joint motion must start for the contact to count
+as avoidable by physics [s]."""
 LEADS = (0.05, 0.1, LEAD, 0.3, 0.5)
-"""Times before a contact from which collision-free joint motions are searched, to find the latest
-time at which the arm could avoid the contact [s]."""
+"""Times before a contact at which random joint motions start, to find the latest start of a motion
+that avoids the contact [s]."""
 CLEAR_TIME = 1.5
 """Time after a contact until which a random joint motion must be collision-free to prove that the
 contact was avoidable [s]."""
@@ -51,16 +52,15 @@ WARNING = 0.1
 """Minimum time between the observation of an obstacle's velocity and the start of a motion that
 avoids the obstacle, for a contact to count as avoidable by view [s]."""
 VELOCITY_AGE = 0.2
-"""Maximum age of an observed obstacle velocity for a contact to count as avoidable by view [s]. The
-age is that at the deadline, 0.1 s (`WARNING`) before the latest start of a motion that avoids the
-contact."""
+"""Duration of the interval in which an obstacle's velocity must be observed for a contact to count
+as avoidable by view [s]. The interval ends 0.1 s (`WARNING`) before the latest start of a motion
+that avoids the contact."""
 VELOCITY_TOLERANCE = 0.2
 """Maximum error of an observed obstacle velocity that counts as correct, as a fraction of the true
 speed [-]."""
 AT_REST = 0.02
-"""Joint speed below which the arm counts as at rest [rad/s]. It is also the error up to which an
-observed obstacle velocity counts as correct even if it is more than 20 % of the true speed [m/s].
-"""
+"""Joint speed below which the arm counts as at rest [rad/s]. The same number is the error up to
+which the observed velocity of an obstacle slower than 0.1 m/s counts as correct [m/s]."""
 _SEPARATION_TIME = 0.1
 """Time without contact after which a new touch of the same link and object is another contact [s].
 """
@@ -94,11 +94,13 @@ def contact_events(scenario: Scenario, log: MotionLog, world: TrueWorld) -> list
         - energy: kinetic energy of the robot at the first touch [J].
         - avoidable_by_physics: whether one of 500 random joint motions from the joint state 0.2 s
           before the contact avoids it.
-        - avoidable_by_view: whether such a motion from 0.05 to 0.5 s before the contact avoids it,
-          and the obstacle's velocity was observed 0.1 to 0.3 s before the latest such start.
-        - parked_contact: names of the configurations at which an object would touch an arm that
-          rests there: "start" and "goal", if it rests from time 0 on, and "first_sight", the
-          configuration at the first observation of `obstacle`, if it rests from that time on.
+        - avoidable_by_view: whether such a motion that starts 0.05 to 0.5 s before the contact
+          avoids it, and the obstacle's velocity was observed 0.1 to 0.3 s before the latest start
+          of a motion that avoids it.
+        - parked_contact: names of the configurations at which an object would touch the arm if the
+          arm rested there: "start" and "goal", if it rested from time 0 on, and "first_sight", if
+          it rested from the first observation of `obstacle` on at its configuration of that time.
+          Without an observation before the contact, "first_sight" is not checked.
     """
     end, q_goal = last_change(scenario.obstacles), end_positions(scenario)[1]
     trajectories = {f"{OBSTACLE_PREFIX}_{item.name}": item for item in scenario.obstacles}
@@ -163,12 +165,12 @@ def _find_contacts(evaluator: ClearanceEvaluator, log: MotionLog) -> list[dict[s
 
 
 def _is_touched(evaluator: ClearanceEvaluator, q: FloatArray, times: FloatArray) -> bool:
-    """Checks whether an object on its true trajectory touches the arm, at rest at a configuration,
-    at any of several times.
+    """Checks whether any object on its true trajectory would touch the robot at one of several
+    times, if the robot rested at a given configuration.
 
     Args:
         evaluator: evaluator of contacts for the scenario of the run.
-        q: (nq,) positions of the robot [rad, m].
+        q: (nq,) configuration at which the robot rests [rad, m].
         times: (T,) times in the simulation [s].
     """
     return any(
@@ -190,8 +192,9 @@ def _assess_avoidability(
 
     Returns:
         Two keys. "avoidable_by_physics": whether a random joint motion from the joint state 0.2 s
-        before the contact is collision-free. "avoidable_by_view": whether one from 0.05 to 0.5 s
-        before the contact is, and `known` has a time 0.1 to 0.3 s before the latest such start.
+        before the contact is collision-free. "avoidable_by_view": whether a random joint motion
+        that starts 0.05 to 0.5 s before the contact is collision-free, and `known` contains a time
+        0.1 to 0.3 s before the latest start of a collision-free motion.
     """
     index, counts = world.arm.chain.q_index, {}
     for lead in LEADS:
@@ -213,8 +216,9 @@ def count_escapes(
     """Counts the random joint motions from a joint state, out of `MOTION_COUNT`, that are
     collision-free.
 
-    The first motion brakes. Half of the targets of the others are uniform within the joint limits,
-    half are near the configuration at which the arm would stop.
+    Each motion moves to one random target configuration, or to two in turn. Half of the targets are
+    uniform within the joint limits, half are near the configuration at which the arm stops if it
+    brakes. The first motion only brakes.
 
     Args:
         world: the arm, its required clearance, and the collision geometries along their
@@ -240,12 +244,12 @@ def count_escapes(
 
 
 def observation_times(log: MotionLog, obstacle: Obstacle) -> tuple[float, FloatArray]:
-    """Computes the times at which perception observed an obstacle, and observed its correct
-    velocity, in a run.
+    """Computes the times of a run at which perception observed an obstacle, and those at which it
+    observed the obstacle with a correct velocity.
 
     An observed ellipsoid belongs to the obstacle if its center is in the ball around the obstacle's
-    true shapes at the time of measurement. Its velocity is correct within 20 % of the true speed,
-    or 0.02 m/s.
+    true shapes at the time of measurement. The velocity of the ellipsoid is correct if its error is
+    at most 20 % of the true speed or 0.02 m/s, whichever is larger.
 
     Args:
         log: log of the run.

@@ -8,17 +8,19 @@ The baseline takes the place of the layer `safety`, the systems that turn the de
 into joint commands, in a diagram without perception (`drake_oa.diagrams.avoidance`). It knows the
 obstacles exactly. At each step of `DifferentialInverseKinematicsSystem` a quadratic program
 computes the joint velocity v, at the commanded positions, that moves the tool best toward the
-desired pose. The program is subject to joint velocity limits. For every pair of a robot link and
-an object, or of two links, with distance d and padding p, whose padded distance phi = d - p is
-below s + 0.2 m (`INFLUENCE`), it is also subject to
+desired pose. The program is subject to joint velocity limits, and to a minimum clearance of every
+pair of a robot link and an object, or of two links.
+
+The minimum clearance of a pair is the sum of two parameters of Drake: the safety distance s, which
+is common to all pairs, and the padding p of the pair. Here s is the smaller of the minimum
+clearances of tool and other links; p is the rest. A pair with distance d has the padded distance
+phi = d - p. If phi is below s + 0.2 m (`INFLUENCE`), the pair has the collision constraint
 
     phi + (dphi/dq) v dt >= s,    dt = 0.3 s (`HORIZON`).
 
-Hence the minimum clearance of a pair is s + p. The safety distance s is the smaller of the minimum
-clearances of tool and other links, and the padding p of a pair is the remainder of the minimum
-clearance of this pair. Between d = 0 and d = p the gradient of Drake 1.51 has the wrong sign
-(RobotLocomotion/drake#25016), which would increase a penetration. If s > 0, this region begins at
-a distance s below the minimum clearance.
+Between d = 0 and d = p the gradient of Drake 1.51 has the wrong sign (RobotLocomotion/drake#25016),
+which would increase a penetration. If s > 0, a pair is in this region only if its distance is more
+than s below its minimum clearance.
 """
 
 from __future__ import annotations
@@ -70,14 +72,14 @@ INFLUENCE = 0.2
 """Excess of the distance between link and object over the minimum clearance of this pair, above
 which the differential IK baseline ignores the pair [m]."""
 HORIZON = 0.3
-"""Time dt in which a link may consume its clearance margin, in the collision constraint of the
-differential IK baseline [s].
+"""Time dt in the collision constraint of the differential IK baseline [s]. The joint velocity must
+not reduce a distance below the minimum clearance within this time.
 
 With the policy's step of 8 ms the quadratic program was infeasible in 8 of 9 scenes; with 0.3 s it
 was in 1 of 9."""
 GAIN = 0.2
 """Fraction of the tool's pose error that the desired tool velocity of the differential IK baseline
-corrects in one step [-]."""
+corrects in one period of the policy [-]."""
 SPEED_FACTOR = 1.2
 """Maximum desired tool velocity along an axis in the differential IK baseline, as a multiple of the
 maximum speed of the nominal motion, without avoidance [-]."""
@@ -96,8 +98,8 @@ KD = 100.0
 
 
 ARM_DISTANCE = 0.02
-"""Upper bound of two minimum clearances of the differential IK baseline [m]: links other than the
-tool to obstacles, and all links to the environment."""
+"""Upper bound of the minimum clearance in the differential IK baseline between obstacles and links
+other than the tool, and between the environment and all links [m]."""
 METHOD = "DifferentialInverseKinematics"
 """Name of the differential IK baseline in the field `inference` of a log."""
 

@@ -7,9 +7,9 @@ of 1,000 steps of 1/60 s:
 
 - `sudden`: a box appears at step 30 on the nominal path of the tool, at the first position at least
   0.1 m from the robot; it disappears 100 steps before the end;
-- `floating`: three boxes start 0.8 to 1.0 m from the point (0.15, 0, 0.5) m in the world, fly
-  toward it (within 0.2 m along each axis), and reverse at 1.2 m from it; they disappear 300 steps
-  before the end;
+- `floating`: three boxes start 0.8 to 1.0 m from the point (0.15, 0, 0.5) m in the world. Each
+  flies toward a random place within 0.2 m of the point along each axis, and reverses at 1.2 m from
+  the point. The boxes disappear 300 steps before the end;
 - `goal_blocked`: a box appears at the goal when the nominal tool position is 0.5 m from it; it
   disappears 200 steps before the end;
 - `moving_goal_blocked`: the robot starts at the goal; boxes start 0.5 to 0.6 m from the goal and at
@@ -30,9 +30,9 @@ Differences from DRPBench:
 - The tool points down; in the shelf it points forward, tilted down by 20 degrees.
 
 Static objects are an open box on the table, and a shelf: a raised box that is open at its front. If
-start and goal are outside a static object, the robot's clearance at both is at least 5 cm to the
-object with its open face closed. If they are inside, its clearance to the boards is at least 5 cm.
-Flying boxes pass through static objects and each other.
+start and goal are outside a static object, the robot has at both at least 5 cm clearance to the
+object, as if a board closed its open face. If they are inside, the robot has at least 5 cm
+clearance to the boards of the object. Flying boxes pass through static objects and each other.
 """
 
 from __future__ import annotations
@@ -162,19 +162,20 @@ _CASES = {
 
 Faces 0 to 2 are at the minimum of x, y and z in the object's frame, 3 to 5 at the maximum. The
 dimensions are measured between the middle planes of the boards: half depth (along x), half width
-(along y), height of the lower board above the table, and height of the upper board above it."""
+(along y), height of the lower board above the table, and height of the upper board above the lower
+one."""
 
 
 def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | None) -> Obstacle:
-    """Draws a static object that consists of six boards; the last board closes its open face.
+    """Draws a static object as a closed box of six boards; the open object lacks the last board.
 
     Args:
         random: source of random numbers.
         name: "open_box" or "shelf".
         number: number of the obstacle, which determines its name and color.
-        inside: (3,) tool point that is to be inside the object, 6 to 10 cm behind its front (the
-            face at minimum x in its frame), in the world [m]; the object then has a yaw of 0. None:
-            the object is anywhere on the table and its front faces the robot's base.
+        inside: (3,) tool position in the world that is to be inside the object, 6 to 10 cm behind
+            the object's front (the face at minimum x in its frame) [m]; the object then has a yaw
+            of 0. None: the object is anywhere on the table, and its front faces the robot's base.
     """
     opening, smallest, largest = _CASES[name]
     x, y, low, height = random.uniform(smallest, largest)
@@ -199,13 +200,13 @@ def _draw_case(random: Generator, name: str, number: int, inside: FloatArray | N
 _FLOATING_TARGET = np.array([0.15, 0.0, 0.5])
 """Point in the world toward which the boxes of the DRPBench levels `floating` fly [m]."""
 _FLOATING_RANGES = (0.8, 1.0), 1.2, 0.2
-"""Distances that determine the lines of flying boxes in the DRPBench levels `floating` [m]: range
-of the distance from `_FLOATING_TARGET` at the start, distance from it at which a box reverses, and
-maximum distance, along each world axis, between it and the point toward which a box flies."""
+"""Distances from the point `_FLOATING_TARGET` that determine the lines of flying boxes in the
+DRPBench levels `floating` [m]: range of the distance at which a box starts, distance at which a box
+reverses, and maximum offset along each world axis of the place toward which a box flies."""
 _GOAL_RANGES = (0.5, 0.6), 1.0, 0.01
-"""Distances that determine the lines of flying boxes in the DRPBench levels `moving_goal_blocked`
-[m]: range of the distance from the goal at the start, distance from it at which a box reverses, and
-maximum distance, along each world axis, between it and the point toward which a box flies."""
+"""Distances from the goal that determine the lines of flying boxes in the DRPBench levels
+`moving_goal_blocked` [m]: range of the distance at which a box starts, distance at which a box
+reverses, and maximum offset along each world axis of the place toward which a box flies."""
 _BASE_RADIUS = 0.25
 """Radius of a vertical cylinder around the robot's base at which flying boxes reverse [m]."""
 _MIN_X = 0.1

@@ -8,8 +8,8 @@ Methods:
                    computes coupling parameters from the obstacle's section with the P-plane (plane
                    of motion and obstacle). Cost rings (costs of the directions of passing) select
                    the side. The chain is `paper_chain_running`, trained for this system's movement
-                   primitive; its strength alpha of the coupling term has the unit 1/T, with the
-                   demonstrated duration T
+                   primitive; the strength alpha of the coupling term that it computes has the unit
+                   1/T, with the demonstrated duration T
   verified         this project's method: whole-arm motions, verified by simulation among the
                    obstacles' collision geometry; if none is collision-free, a planned path that
                    the movement primitives imitate
@@ -29,8 +29,8 @@ Outcome of a run:
 
   success   no contact, the tool point ends within 5 mm of the goal, and everything comes to rest
   contact   a contact with the scene or of the robot with itself
-  stopped   any other end; the reason is that of the motion's termination in words, with "#" in
-            place of numbers, or the exception that the run raised
+  stopped   any other end; the reason in words is why the motion terminated, the condition of
+            success that failed, or the exception that the run raised, with "#" for numbers
 
 Runs in scenes of the benchmark DRPBench are also evaluated by its rules (`drp_outcome`): no contact
 for 16.7 s, and the tool then within 5 cm and 15 degrees of the goal.
@@ -89,8 +89,8 @@ METHODS = ("nominal", "paper", "verified", DIFFERENTIAL_IK, PLANNER, *ABLATIONS)
 """Names of all methods that can be evaluated on a scene of the Panda, variants of `verified`
 included."""
 TRUTH_ONLY = frozenset({DIFFERENTIAL_IK, PLANNER})
-"""Names of the methods that know the obstacles exactly, whatever perceives the obstacles of a
-scene."""
+"""Names of the methods that always know the obstacles exactly, even if cameras perceive a scene for
+other methods."""
 
 _UNKNOWN_KEYS = (
     "tool_clearance_min",
@@ -106,9 +106,10 @@ _UNKNOWN_KEYS = (
     "contact_events",
     "claim_violations",
 )
-"""Keys of a run's result that are None until the run computes them, hence if it did not start. The
-method `planner` computes at most both clearances, "duration" and "ended". "contact_events" and
-"claim_violations" are also None in scenes where no obstacle moves or appears."""
+"""Keys that have the value None in the result of a run that did not start. Of these keys, the
+method `planner` computes at most "tool_clearance_min", "robot_clearance_min", "duration" and
+"ended"; the others remain None. "contact_events" and "claim_violations" are also None in scenes
+where no obstacle moves or appears."""
 
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
 """Regular expression of numbers in the reason for which a motion stopped; they are replaced by "#"
@@ -203,11 +204,11 @@ def run_and_evaluate(
         criteria: conditions of success.
 
     Returns:
-        All metrics of one motion by the keys of `motion_report`, and the following ones. A plan of
-        the method `planner` has those of `run_planner` in place of those of `motion_report`.
+        A dictionary with the keys of `motion_report` (for the method `planner`: of `run_planner`)
+        and the following ones. If no motion was simulated, unknown values are None or missing.
 
         - outcome: "success", "contact" or "stopped" (any other end).
-        - reason: the reason in words for which a run without success ended, with "#" for numbers.
+        - reason: the reason in words why the run is not a success, with "#" for numbers.
         - failed: whether the run raised an exception.
         - beyond_limits: maximum excess of a joint over its position limit [rad].
         - decision_latencies: simulated compute latency of each selection of a motion [s].
@@ -216,10 +217,10 @@ def run_and_evaluate(
           `criteria.has_drp_rules` is false.
         - contact_events: contacts, with closing speed, energy and avoidability, see
           `contacts.contact_events`; None if no obstacle moves or appears.
-        - claim_violations: numbers of logged instants ("instants"), and of those that violate claim
-          "A" (the arm rests or recedes before a moving obstacle can reach it) or "B" (it is slow
-          toward unobserved space) of passive motion safety; None if no obstacle moves or appears,
-          or without observations.
+        - claim_violations: three numbers: "instants", the number of logged instants; "A" and "B",
+          how many of them violate claim A (the arm rests or recedes before a moving obstacle can
+          reach it) and claim B (the arm is slow toward unobserved space) of passive motion safety.
+          None if no obstacle moves or appears, or without observations.
     """
     scenario = with_method(with_perception(scenario, perception), method)
     has_failed, log, result = False, None, _without_motion(scenario)
@@ -359,7 +360,8 @@ class PandaSuite:
             move of the goal.
         stem: prefix of the names of result files.
         drawings: number of a scene -> `functools.partial` that, called without arguments, returns
-            the YAML text of the scenario; the text depends on its positional arguments alone.
+            the YAML text of the scenario; the positional arguments of the partial alone determine
+            the text.
         criteria: conditions of success.
 
     Raises:

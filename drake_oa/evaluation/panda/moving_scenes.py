@@ -320,8 +320,8 @@ def _trajectory_fits(
     around the obstacle does not overlap a circle of 16 cm around the robot's base, and is at least
     2 cm from the balls around other obstacles. Without maneuvers the obstacle's center is always in
     the camera's view, and the robot has 5 cm clearance at the start for the first second and at the
-    goal after the trajectory. With maneuvers it has 5 cm clearance at the start at time 0. An
-    obstacle that enters the image is initially outside the camera's view, and later in it.
+    goal after the trajectory. With maneuvers the robot has 5 cm clearance at the start at time 0.
+    An obstacle that enters the image is initially outside the camera's view, and later in it.
 
     Args:
         object: obstacle with its trajectory.

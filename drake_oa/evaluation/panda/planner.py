@@ -55,8 +55,8 @@ CLEARANCE = 0.025
 STATES = 40_000
 """Default maximum number of states that RRT-Connect checks for one path among resting obstacles."""
 _CHECK_STEP = 0.03
-"""Joint-space distance between the configurations of an edge that are checked for collisions [rad].
-"""
+"""Joint-space distance between neighboring configurations at which RRT-Connect checks an edge for
+collisions [rad]."""
 _MAX_STEP = 0.6
 """Maximum joint-space length of an edge of the trees in RRT-Connect [rad]."""
 _GOAL_SEEDS = 12
@@ -66,7 +66,8 @@ _SPEED_FRACTION = 0.5
 """Assumed joint speed of a planned path among resting obstacles, as a fraction of the maximum joint
 speed [-]."""
 _SUBSTEPS = 4
-"""Factor by which a planned path is subdivided before its clearances are evaluated."""
+"""Factor by which interpolation multiplies the number of configurations of a planned path, before
+contacts and clearances along the path are evaluated."""
 
 MOVING_CLEARANCE = 0.005
 """Minimum clearance of the whole robot to all objects, and between its links, in a plan among
@@ -128,8 +129,8 @@ def run_planner(
         states: maximum number of checked states among resting obstacles.
 
     Returns:
-        Dictionary with these keys. Without a plan, the keys from `contacts` on are missing; with a
-        plan among moving obstacles, `goal_error` and `duration` are the only ones of them:
+        Dictionary with these keys. The first four keys are always present; a plan among resting
+        obstacles has all others, a plan among moving obstacles only `goal_error` and `duration`:
 
         - stop_reason: "goal", or the reason in words for the missing plan.
         - ended: `MotionEnd.GOAL`, or `MotionEnd.MISSED` without a plan.
@@ -140,8 +141,8 @@ def run_planner(
         - tool_clearance_min, robot_clearance_min: minimum clearance of the tool and of the whole
           robot to obstacles [m]; None: no obstacle.
         - goal_error: distance from the end of the path to the goal [m].
-        - duration: duration of the motion, at half the maximum joint speed among resting obstacles
-          [s].
+        - duration: duration of the motion [s]; among resting obstacles at half the maximum joint
+          speed.
         - path_length: length of the path of the tool point [m].
 
     Raises:
@@ -169,9 +170,9 @@ def _plan_at_rest(scenario: Scenario, clearance: float, states: int) -> tuple[st
         states: maximum number of checked states.
 
     Returns:
-        The reason for a missing plan ("" if there is a plan), and the plan's metrics: `states`, the
-        number of checked configurations, and with a plan contacts, clearances [m], goal error [m],
-        duration [s] and path length [m].
+        The reason for a missing plan ("" if there is a plan), and a dictionary: `states`, the
+        number of checked configurations, and only with a plan its contacts, clearances [m], goal
+        error [m], duration [s] and path length [m], with the keys of `run_planner`.
     """
     base, geometric, util = (
         import_extra(f"ompl.{name}", "baselines") for name in ("base", "geometric", "util")
@@ -249,8 +250,8 @@ def _plan_among_moving(scenario: Scenario) -> tuple[str, dict[str, Any]]:
     motions over time (`find_motion`).
 
     Returns:
-        The reason for a missing plan ("" if there is a plan), and the plan's metrics: `states`, the
-        number of checked configurations, and with a plan goal error [m] and duration [s].
+        The reason for a missing plan ("" if there is a plan), and a dictionary: `states`, the
+        number of checked configurations, and only with a plan `goal_error` [m] and `duration` [s].
     """
     q_start, q_goal = end_positions(scenario)
     world = make_true_world(scenario, MOVING_CLEARANCE)

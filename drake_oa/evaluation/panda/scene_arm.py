@@ -2,8 +2,8 @@
 obstacles.
 
 The model consists of the arm's joints and of spheres that enclose its links, as in motion planning
-(`drake_oa.planning.collision_model`). Distances of the true shapes of the links are up to 4 mm
-larger than distances of the spheres; those of the base are up to 2 cm larger.
+(`drake_oa.planning.collision_model`). The distance of a link's true shape to an obstacle is up to
+4 mm larger than the distance of the link's spheres; at the base it is up to 2 cm larger.
 """
 
 from __future__ import annotations
@@ -94,8 +94,9 @@ class Motion(NamedTuple):
 
 
 class SceneArm:
-    """Arm model of the random scenes, with joints and enclosing spheres of G links; its tool points
-    down by default.
+    """Arm model of the random scenes, with joints and enclosing spheres of G links.
+
+    The tool points down unless `straight_motion` receives another orientation.
 
     Attributes:
         tool: (G,) whether each link belongs to the tool.
@@ -132,9 +133,9 @@ class SceneArm:
         Args:
             start: (3,) tool position at the start in the world [m].
             goal: (3,) tool position at the goal in the world [m].
-            aside: (n,) posture to which the arm is attracted, in the null space of the tool pose,
-                in the middle of the motion [rad]. At its ends, or throughout if None, the arm is
-                attracted to the start configuration.
+            aside: (n,) posture that attracts the arm in the middle of the motion, in the null space
+                of the tool pose [rad]; at start and goal the start configuration attracts the arm.
+                None: the start configuration attracts the arm during the whole motion.
             rpy_WE: roll, pitch and yaw of the tool in the world [rad]; None: the tool points down.
 
         Returns:

@@ -80,9 +80,9 @@ _CAMERA_POSITION = [1.2473, 0.2902, 1.05]
 """Position in the world of the camera whose view must contain the centers of random obstacles [m].
 The condition applies even if another source perceives the obstacles."""
 _CAMERA_ROLL = {DEFAULT_SCENARIO: -135.0, ELBOW_SCENARIO: -120.0}
-"""Name of a shipped scenario -> roll angle of its camera's frame (z forward, y down) in the world
-[degrees]; the pitch is 0 and the yaw 110 degrees. The camera's view must contain the centers of
-random obstacles."""
+"""Name of a shipped scenario -> roll angle in the world of the camera whose view must contain the
+centers of random obstacles [degrees]. The camera's frame has z forward and y down; its pitch is 0
+and its yaw 110 degrees."""
 
 Shape = Box | Cylinder | Sphere
 """Type of the primitive shapes that random obstacles consist of."""
@@ -170,8 +170,8 @@ def bounding_ball(obstacle: Obstacle) -> tuple[FloatArray, float]:
 
 
 def _rest_on(shape: Shape, x: float = 0.0, y: float = 0.0, ground: float = 0.0) -> Shape:
-    """Returns a copy of a shape that is moved to (x, y), with its lowest point at height `ground`,
-    in the obstacle's frame, whose origin is on the table [m].
+    """Returns a copy of a shape with its center at (x, y) and its lowest point at height `ground`
+    [m], in the obstacle's frame. The origin of this frame is on the table.
     """
     return replace(shape, translation=[x, y, ground + extent(shape)[1]])
 

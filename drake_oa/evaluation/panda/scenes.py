@@ -147,21 +147,22 @@ _HEIGHTS = (0.2, 0.9)
 """Range of the height above the table, in scenes of the kind `elbow`, of the top of a post and of
 the center of a board or of a box on a stand [m]."""
 _MIN_FREE_DISTANCE = 0.06
-"""Minimum distance between a place where an obstacle may block the elbow and all points that the
-robot occupies at start or goal, the wrist on the nominal motion, or the robot with the elbow moved
-aside [m]."""
+"""Minimum distance between a place where an obstacle may block the elbow and the points that must
+remain free [m]. These are the centers of the arm's spheres at start and goal and with the elbow
+moved aside, and the centers of the spheres of wrist and hand on the nominal motion."""
 _MIN_AXIS_DISTANCE = 0.2
 """Minimum horizontal distance between a place where an obstacle may block the elbow and the
 vertical axis of the robot's base [m]."""
 _AWAY_DISTANCES = (0.0, 0.10)
-"""Range of the distance by which an obstacle is moved from the elbow's path, away from the nearest
-place that must remain free [m]."""
+"""Range of the random distance by which an obstacle is shifted from a point of the elbow's path, in
+the direction away from the nearest point that must remain free [m]."""
 _MAX_OFFSET = 0.04
 """Maximum additional random offset of an obstacle from the elbow's path, along each axis [m]."""
 _ATTEMPTS = 60
 """Maximum number of obstacles drawn for one nominal motion in scenes of the kind `elbow`. Drawing
-ends as soon as two obstacles meet the conditions: the first collides only with the elbow, and both
-leave hand, wrist and the motion with the elbow moved aside free."""
+ends as soon as two obstacles meet the conditions of `_is_in_elbow_way`: the first blocks the elbow
+on the nominal motion, and neither blocks the hand, the wrist, or the robot with the elbow moved
+aside."""
 
 
 def elbow_objects(random: Generator) -> DrawObjects:
@@ -172,9 +173,9 @@ def elbow_objects(random: Generator) -> DrawObjects:
         random: source of random numbers.
 
     Returns:
-        Function from a nominal motion to obstacles; it returns None if the arm cannot move its
-        elbow aside, or no drawn obstacle blocks only the elbow and leaves the motion with the elbow
-        moved aside free.
+        Function from a nominal motion to obstacles. It returns None if the arm cannot move its
+        elbow aside, or if no drawn obstacle meets the conditions: it blocks the elbow on the
+        nominal motion, but neither hand nor wrist, nor the robot with the elbow moved aside.
     """
 
     def draw(motion: Motion) -> list[Obstacle] | None:
@@ -201,18 +202,19 @@ def elbow_objects(random: Generator) -> DrawObjects:
 def _elbow_places(motion: Motion, swung: Motion) -> FloatArray:
     """Computes points that the elbow passes on the nominal motion and that an obstacle may block.
 
-    Points must remain free if the robot occupies them at start or goal, or on the motion with the
-    elbow moved aside. Points that wrist or hand occupy on the nominal motion must remain free, too.
+    Some points must remain free: the centers of the arm's spheres at start and goal and with the
+    elbow moved aside, and the centers of the spheres of wrist and hand on the nominal motion. An
+    obstacle may block a point of the elbow that is more than 6 cm away from all of these points, in
+    front of the robot's base (x > 0), more than 20 cm from the axis of the base, and higher than
+    20 cm.
 
     Args:
         motion: nominal motion.
         swung: motion with the same tool path and the elbow moved aside.
 
     Returns:
-        (N, 2, 3) points of the elbow on the nominal motion in the world [m], and unit vectors to
-        them from the nearest point that must remain free, which is more than 6 cm away. The points
-        are in front of the robot's base (x > 0), more than 20 cm from its axis, and higher than
-        20 cm.
+        (N, 2, 3) for each of N points of the elbow: its position in the world [m], and the unit
+        vector from the nearest point that must remain free toward it.
     """
     arm, whole = scene_arm(), range(len(motion.q[0]))
     passed = arm.centers(motion.q[::2], _ELBOW_JOINTS)
@@ -231,8 +233,9 @@ def _draw_elbow_object(random: Generator, places: FloatArray, number: int) -> Ob
 
     Args:
         random: source of random numbers.
-        places: (N, 2, 3) points of the elbow's path that may be blocked, in the world [m], and unit
-            vectors to them from the nearest point that must remain free.
+        places: (N, 2, 3) for each of N points of the elbow's path that may be blocked: its position
+            in the world [m], and the unit vector from the nearest point that must remain free
+            toward it.
         number: number of the obstacle, which determines its name and color.
     """
     point, away = random.choice(places)
@@ -295,11 +298,12 @@ class _Kind:
     """Recipe by which `draw_panda_scene` draws random scenes of one kind, for example `tabletop`.
 
     Attributes:
-        objects: function that draws the properties common to all attempts at a scene, such as the
-            number of obstacles, from a source of random numbers, and returns the function that
-            draws obstacles for a nominal motion.
-        stream: numbers that are appended to seed and index of a scene to seed its random numbers;
-            equal for kinds that differ only in the speed of obstacles.
+        objects: function of a source of random numbers. It draws what all attempts at a scene have
+            in common, such as the number of obstacles, and returns the function that draws
+            obstacles for a nominal motion.
+        stream: numbers that identify the kind. Together with the seed of the evaluation and the
+            index of a scene they seed the random numbers of the scene; they are equal for kinds
+            that differ only in the speed of obstacles.
         like: name of the shipped scenario whose camera, robot and parameters the scenes have.
         motion: function that draws the nominal motion from a source of random numbers; it returns
             None if a draw is rejected.
@@ -338,9 +342,10 @@ _KINDS = {
 KINDS = tuple(_KINDS)
 """Names of all kinds of random scenes, for example `tabletop`."""
 MOVING_KINDS = tuple(kind for kind in KINDS if kind.startswith(("moving", DRP)))
-"""Names of the kinds of random scenes with obstacles that move or appear. Cameras that look at the
-workspace replace the one at the table, and passive motion safety is claimed: the arm rests or
-recedes before an obstacle of up to 0.8 m/s can reach it, and is slow toward unobserved space."""
+"""Names of the kinds of random scenes with obstacles that move or appear. In these scenes cameras
+that look at the workspace replace the camera of the shipped scenario. Passive motion safety is
+claimed: the arm rests or recedes before an obstacle of up to 0.8 m/s can reach it, and is slow
+toward unobserved space."""
 
 
 def suite_kinds(suites: Sequence[str], levels: Sequence[str]) -> list[str]:

@@ -42,22 +42,29 @@ _LISTED_COUNTS = {
     "contact_pairs": "contact",
     "sources": "executed motion from",
 }
-"""Key of a metric that counts scenes by stop reason, pair of bodies in contact, or source of the
-executed motion (nominal motion, regressor chain, search, or path in joint space) -> heading of the
-lines below the table that list these counts."""
+"""Key of a metric that counts scenes -> heading of the lines that list the counts below the table.
+
+Scenes are counted for each stop reason, for each pair of bodies in contact, and for each source of
+the executed motion (nominal motion, regressor chain, search, or path in joint space)."""
 
 
 def panda_metrics(results: PandaResults, workers: int | str = 1) -> dict[str, Any]:
     """Returns the metrics of a suite (a set of scenes and methods) as JSON data.
 
-    Keys: "suite" (name of the evaluation), "seed" and "kind" (of the scenes, for example
-    "tabletop"), "perception" (source of the obstacles: "depth", one camera; "depth2", two cameras;
-    or "truth", exact obstacles), "duration" (time limit of a run [s], or None), "jobs" (number of
-    processes), "versions" (of libraries), "scenes_digest" (SHA-256 of the scenes' seeds, tasks and
-    obstacles, independent of the perception), "solved" (number of scenes in which at least one
-    method succeeds; None if `planner` is not among the methods) and "methods" (method -> its
-    metrics, see `methods_metrics`). Each method also has "perception", the source with which it was
-    run, and "runs", the results scene by scene.
+    Keys:
+
+    - suite: name of the evaluation.
+    - seed, kind: seed and kind of the scenes, for example "tabletop".
+    - perception: source of the obstacles: "depth" (one camera), "depth2" (two cameras) or "truth"
+      (exact obstacles).
+    - duration: time limit of a run [s], or None.
+    - jobs: number of processes.
+    - versions: versions of libraries.
+    - scenes_digest: SHA-256 of the scenes' seeds, tasks and obstacles, independent of perception.
+    - solved: number of scenes in which at least one method succeeds; None if `planner` is not among
+      the methods.
+    - methods: method -> its metrics by `methods_metrics`, and "perception", the source of the
+      obstacles with which the method was run, and "runs", its results scene by scene.
 
     Args:
         results: results of all runs of the suite.
@@ -143,20 +150,28 @@ def run_metrics(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     - drp_contacts, drp_success: outcomes by the rules of the benchmark DRPBench, only in scenes of
       its levels.
 
-    Numbers of contacts: `avoidable_by_physics`, which a joint motion from 0.2 s before avoids, and
-    `avoidable_by_view`, which one from 0.05 to 0.5 s before avoids, if the obstacle's velocity was
-    observed 0.1 to 0.3 s before the latest start of such a motion.
+    Numbers of contacts:
 
-    Numbers of logged instants, None without moving obstacles: `claim_A` and `claim_B`, violations
-    of passive motion safety. Its claims are that the arm rests or recedes before a moving obstacle
-    can reach it (A), and that it is slow toward unobserved space (B).
+    - avoidable_by_physics: contacts that a joint motion avoids if it starts 0.2 s before.
+    - avoidable_by_view: contacts that a joint motion avoids if it starts 0.05 to 0.5 s before, with
+      the obstacle's velocity observed 0.1 to 0.3 s before the latest start of such a motion.
 
-    Statistics: `success_rate`; `duration_median` of the motions [s]; `decision_latency`, the median
-    ("median"), 99th percentile ("p99") and maximum ("max") of the simulated compute latencies of
-    all decisions [s], with their number ("count"), None without a latency; `tool_clearance_min` and
-    `robot_clearance_min`, the minimum over all scenes of the clearance of the tool and of the whole
-    robot to obstacles [m]; `goal_error_max` of the scenes that were not stopped [m];
-    `real_time_factor`, the median.
+    Numbers of logged instants, None without moving obstacles or observations:
+
+    - claim_A: instants at which the arm violates the claim to rest or recede before a moving
+      obstacle can reach it.
+    - claim_B: instants at which the arm violates the claim to be slow toward unobserved space.
+
+    Statistics:
+
+    - success_rate: fraction of the scenes with success.
+    - duration_median: median duration of the motions [s].
+    - decision_latency: "median", "p99" (99th percentile) and "max" of the simulated compute
+      latencies of all selections of a motion [s], and "count", the number of latencies.
+    - tool_clearance_min, robot_clearance_min: minimum over all scenes of the clearance of the tool
+      and of the whole robot to obstacles [m].
+    - goal_error_max: maximum goal error in the scenes that were not stopped [m].
+    - real_time_factor: median of the simulated time over the wall time.
 
     Args:
         runs: results of `run_and_evaluate`.

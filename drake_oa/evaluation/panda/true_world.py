@@ -98,14 +98,13 @@ def bang_motions(
 ) -> FloatArray:
     """Computes joint motions of two legs, each of which is time-optimal for each joint separately.
 
-    In each step of duration `STEP` (8 ms) the acceleration is constant. The velocity v' after the
-    step is the largest one from which the joint can still stop at the target with its acceleration
-    limit a:
+    In each step of duration `STEP` (8 ms) the acceleration is constant. Let v be the velocity of a
+    joint before the step, v' that after the step, a the acceleration limit and v_max the speed
+    limit. v' is the largest velocity from which the joint can still stop at the target:
 
-        v' = sign(e) min(v_max, sqrt(h^2 + 2 a |e|) - h),   |v' - v| <= a STEP,
+        v' = sign(e) min(v_max, sqrt(h^2 + 2 a |e|) - h),   |v' - v| <= a STEP.
 
-    with the speed limit v_max, h = a STEP / 2, and e the distance to the target minus v STEP / 2,
-    where v is the velocity before the step.
+    Here h is a STEP / 2, and e is the signed distance to the target minus v STEP / 2.
 
     Args:
         world: the arm with its speed and acceleration limits.
