@@ -31,10 +31,9 @@ class SegmentationConfig:
     larger."""
     table: bool = True
     """Whether to search for a table. If false, every point that is not on the robot belongs to an
-    obstacle. If `table_height` is null both here and in the scenario, no table is searched
-    either."""
+    obstacle. The same applies if `table_height` is null both here and in the scenario."""
     table_height: float | None = None
-    """Expected height of the table in the world [m], near which the table is searched; null: the
+    """Expected height of the table in the world [m], near which it is searched for; null: the
     scenario's field `table_height`. Without a scenario, null searches at every height."""
     max_height: float = Field(default=1.2, gt=0.01, le=_FAR)
     """Maximum height of an obstacle's points above the table [m]. Raising it includes higher

@@ -29,8 +29,10 @@ _logger = logging.getLogger("drake_oa")
 
 
 class PerceptionState:
-    """Abstract state of a perception system that contains its `TrackerState` (tracked obstacles
-    with their remembered points, and output), with the output ports that read it.
+    """Abstract state and output ports of a perception system.
+
+    The state is a `TrackerState`: the tracked obstacles with their remembered points, and the
+    output. The output ports are computed from this state.
     """
 
     def __init__(self, system: LeafSystem) -> None:
@@ -91,8 +93,8 @@ def log_change(system: LeafSystem, previous: str, note: str, time: float) -> Non
 _NO_NEW_IMAGE = "no new image"
 """Note (reason why an observation is degraded) of a frame in which a camera has no new image."""
 _UPDATE_DELAY = 1e-4
-"""Time from the arrival of an image, from a camera whose images arrive with a delay, to its
-processing by perception [s]."""
+"""Time from the arrival of a delayed image to the update of perception that processes it [s].
+For a camera without delay it is zero."""
 _SAME_TIME = 1e-6
 """Maximum difference between the stamps of images that count as taken at one instant [s]."""
 
@@ -151,11 +153,11 @@ class _Ports(NamedTuple):
 class DepthPerception(LeafSystem):
     """System that detects and tracks obstacles in depth images: one cloud and velocity for each.
 
-    Note: with several cameras the stamp of `obstacles_W` is that of the oldest camera, not that of
-    the newest image. The oldest camera is the one without a usable image for the longest time; the
-    stamp is that of its last usable image. Since then, obstacles may have entered its part of the
-    scene unobserved. An image is usable if at least 5 % of its pixels have depth (inf included).
-    If a table is expected, one must also be found in this or another image of the same frame.
+    Note: if a frame lacks a usable image of one of several cameras, the stamp of `obstacles_W` is
+    older than the frame: it is the oldest stamp among the last usable images of all cameras. Since
+    that time, obstacles may have entered unobserved where no other camera has a view. An image is
+    usable if at least 5 % of its pixels have depth (inf included). If a table is expected, one must
+    also be found in this or another image of the same frame.
 
     .. pydrake_system::
 
@@ -194,20 +196,20 @@ class DepthPerception(LeafSystem):
     in the world frame [m], including the robot's; for visualization.
 
     Port `free_space_W`: abstract `FreeSpace`, the space between the cameras and the surfaces in
-    the usable images of the last frame that had one.
+    the usable images of the last frame with a usable image.
 
     The inputs are evaluated at initialization and then every `period`, since each evaluation makes
-    a simulated camera render. The outputs are constant between these updates. An obstacle keeps its
-    track ID, and the points that the arm occludes. The cloud of an obstacle at rest remains bitwise
-    equal until a larger or smaller extent is observed. `drake_oa.perception.tracking.update_tracks`
-    describes the tracking. A frame without a usable image leaves the obstacles and their stamp
-    unchanged and states the reason in `note`. A receiver computes the age of the obstacles from the
-    stamp.
+    a simulated camera render. The outputs are constant between these updates. An obstacle retains
+    its track ID. Its cloud retains the points that the arm occludes. The cloud of an obstacle at
+    rest remains bitwise equal until a larger or smaller extent is observed.
+    `drake_oa.perception.tracking.update_tracks` describes the tracking. A frame without a usable
+    image leaves the obstacles and their stamp unchanged and states the reason in `note`. A receiver
+    computes the age of the obstacles from the stamp.
 
     Images whose stamps differ by at most `sync_tolerance` form one frame with the time of the
-    newest image. The self filter removes the robot at its configuration of each image. A camera
-    without an image of that instant, or with one that is not usable, is left out of the frame and
-    named in `note`; the other cameras still update the obstacles.
+    newest image. The self filter removes the robot at the configurations of all these images. A
+    camera without an image of that instant, or with one that is not usable, is left out of the
+    frame and named in `note`; the other cameras still update the obstacles.
     """
 
     def __init__(
@@ -236,11 +238,11 @@ class DepthPerception(LeafSystem):
                 convention of CameraInfo. RenderEngineVtk of Drake 1.51 renders with 0.5; without
                 this correction the scene is rotated by half a pixel.
             period: time between frames [s].
-            delay: time from the start of a period to the arrival of its images [s].
+            delay: time from the capture of images, at the start of a period, to their arrival [s].
             sync_tolerance: maximum difference of the stamps of images that form one frame [s].
             missing_image_timeout: age of the last image of a camera above which the field `note` of
-                `obstacles_W` reports a missing image [s]; 0: at any age. An unsynchronized camera
-                occasionally has no new image in a period.
+                `obstacles_W` reports a missing image [s]; 0: every missing image is reported. An
+                unsynchronized camera occasionally has no new image in a period.
             depth_ranges: minimum and maximum depth that each camera measures [m], for the output
                 `free_space_W`; empty: no limits.
 
@@ -370,8 +372,8 @@ class DepthPerception(LeafSystem):
         return View(depth, K, pose.GetAsMatrix4())
 
     def _posed_robot(self, ports: Sequence[_Ports], context: Context) -> CollisionGeometries | None:
-        """Computes the collision geometry of the robot for the self filter, at its state in each
-        camera's image.
+        """Computes the collision geometry of the robot for the self filter, at the robot's states
+        at the times of the images.
 
         Args:
             ports: input ports of the cameras in the frame.
@@ -393,7 +395,7 @@ def first_update(period: float, delay: float) -> float:
 
     Args:
         period: time between frames [s].
-        delay: time from the start of a period to the arrival of its images [s].
+        delay: time from the capture of images, at the start of a period, to their arrival [s].
     """
     return period + delay + _UPDATE_DELAY if delay else period
 
@@ -405,13 +407,13 @@ def select_synchronized(stamps: FloatArray, last_stamps: FloatArray, tolerance: 
 
     Args:
         stamps: (n,) stamps of the cameras' present images [s].
-        last_stamps: (n,) stamps of the last image of each camera that the segmentation did not
+        last_stamps: (n,) for each camera the stamp of the last image that the segmentation did not
             reject [s]; -inf: none.
         tolerance: maximum difference of the stamps of one frame [s].
 
     Returns:
-        (n,) whether each image is new and within the tolerance of the newest stamp; all False if no
-        image with the newest stamp is new.
+        (n,) whether each image is new and within the tolerance of the newest stamp; all False if
+        every image with the newest stamp has been processed before.
     """
     newest = stamps.max()
     is_new = (stamps > last_stamps) & (stamps >= newest - max(_SAME_TIME, tolerance))

@@ -40,7 +40,8 @@ class RecordedPerception(LeafSystem):
     The first frame is due at time 0, the others with the time differences of the recording. At
     initialization and then every `period`, the newest due frame is processed, unless it was
     processed before. The stamp of the output is constant until the next frame. After the last frame
-    the scene is assumed to remain as observed: its stamp is updated, and all velocities are zero.
+    the scene is assumed to remain as observed: each update sets the stamp of the output to the
+    present time, and all velocities to zero.
 
     The pose of the camera is read from the frame's file, else `X_WC` is used. Without both, the
     table defines the world: z along its normal, x along the camera's x axis, and the origin at the

@@ -55,15 +55,16 @@ _MAX_WARP = 0.04
 """Maximum apparent height of a flat table that a structured-light camera measures as bent upward
 [m]."""
 _HIGHER_SHARE = 0.1
-"""Minimum fraction of a cluster's voxels that are higher above the table than depth noise and the
-upward bend with which the camera measures a distant flat table [-]. Clusters with a smaller
-fraction are no obstacles."""
+"""Minimum fraction of a cluster's voxels whose height above the table exceeds the measurement error
+[-]. The error is depth noise, plus the upward bend with which the camera measures a distant flat
+table. Clusters with a smaller fraction are no obstacles."""
 OCCLUSION_GAP = 0.06
 """Maximum width of an occluded gap across which two clusters are merged into one obstacle [m]."""
 _BRIDGES = 16
-"""Maximum number of shortest connections between points of two clusters that are tested for
-occlusion. The clusters are merged if at most half of these connections are open: some image has a
-larger depth at a place of the connection, in a pixel of neither cluster."""
+"""Maximum number of connections (straight lines) between nearest points of two clusters that are
+tested for occlusion; the shortest ones are tested. A connection is open if some image shows free
+space at one of its places: a larger depth than that of the place, in a pixel of neither cluster.
+The clusters are merged if at most half of the connections are open."""
 _BRIDGE_PLACES = np.linspace(0.0, 1.0, 7)[1:-1, None, None]
 """Places (5, 1, 1) along a connection between points of two clusters that are tested for occlusion,
 as fractions of the connection's length [-]."""
@@ -74,8 +75,9 @@ _OVERHANG = 0.15
 """Maximum distance by which an obstacle on the table may extend beyond the margin `table_margin`
 around the table [m]."""
 _OVER_TABLE = 0.15
-"""Minimum fraction of a cluster's voxels that lie over the table, for its voxels beyond the table's
-edge to be included in the obstacle [-]."""
+"""Minimum fraction of a cluster's voxels that lie over the table [-]. With less, the voxels beside
+the table are not included in the obstacle. A cluster that reaches the maximum overhang
+(`_OVERHANG`) requires one half instead."""
 _MIN_OCCUPANCY = 2
 """Minimum number of points in a voxel that is used; voxels with fewer points are ignored."""
 _STRIDE = 4
@@ -187,8 +189,9 @@ class _AbovePlane(NamedTuple):
         frame: image or cloud of the points.
         p_WQ: (N, 3) points in the world [m].
         number: (N,) indices of the points in the image (row-major pixels) or cloud.
-        is_higher: (N,) whether each point is higher above the table than depth noise and the upward
-            bend with which the camera measures a distant flat table.
+        is_higher: (N,) whether the height of each point above the table exceeds the measurement
+            error: depth noise, plus the upward bend with which the camera measures a distant flat
+            table.
     """
 
     frame: _Frame
@@ -239,20 +242,20 @@ def segment_views(
     The largest table of all images is also used for images without a table, or with a different
     one. An image in which less than 5 % of the pixels have depth is ignored, and listed in
     `unusable_views`. If all are ignored, or none shows an expected table, the result is not usable.
-    An unknown pose X_WC is that for which the table in the image is the plane z = 0 of the world,
-    as `segment_depth` describes.
+    If the pose X_WC of a camera is unknown, the table in its image defines the pose: the table is
+    the plane z = 0 of the world, as `segment_depth` describes.
 
     Args:
         views: one or more depth images; for each image depth (H, W) along the optical axis [m],
             K = [fx, fy, cx, cy] [pixel], and the pose X_WC (4, 4) of the camera (x right, y down,
-            z forward) in the world, or None.
+            z forward) in the world; None: unknown.
         config: parameters; None: defaults.
         robot: collision geometry of the robot at the time of the images, whose points are removed;
             None: no points are removed.
 
     Raises:
-        ValueError: without the pose X_WC of a camera, if `config.table` is False or only other
-            images contain a table.
+        ValueError: if the pose X_WC of a camera is unknown and no table in its image defines it:
+            `config.table` is False, or only other images contain a table.
     """
     config = config or SegmentationConfig()
     frames = []
@@ -356,8 +359,8 @@ def _find_plane(frame: _Frame, config: SegmentationConfig) -> _Frame:
     """Fits the support plane to a subsample of an image or cloud (stage 1 of the segmentation).
 
     Returns:
-        The image or cloud with the table; or with a note, the reason why it is not usable, if depth
-        or table are missing; or unchanged if `config.table` is False.
+        The image or cloud with its table. If depth or the table is missing: with a note, the reason
+        why it is not usable. If `config.table` is False and depth is not missing: unchanged.
     """
     # Infinite depth is a measurement of free space; missing depth is none.
     if np.count_nonzero(frame.depth > 0.0) < max(1.0, LEAST_SHARE * frame.depth.size):
@@ -395,13 +398,16 @@ def _points_above(
     """Finds the points of an image or cloud above the table; all points without a table (stage 2 of
     the segmentation).
 
-    A pixel with ray r (z = 1) and depth z has the height z n . r - offset above the plane n . p =
-    offset. The height of a point on the plane has the standard deviation `DEPTH_NOISE` z |offset|,
-    since its depth has `DEPTH_NOISE` z^2 and |n . r| = |offset| / z.
+    The plane is n . p = offset in the camera frame. A pixel with ray r (z = 1) and depth z is the
+    point z r, at the height z n . r - offset above the plane. Its depth has the standard deviation
+    `DEPTH_NOISE` z^2. For a point on the plane, |n . r| = |offset| / z. The height of such a point
+    therefore has the standard deviation `DEPTH_NOISE` z |offset|. Points are above the plane if
+    their height is at least `_MIN_HEIGHT` plus `_DEVIATIONS` times this standard deviation.
 
     Args:
-        frame: image or cloud with its own plane, which is used instead of the table if its height
-            differs by at most 5 cm (`HEIGHT_TOLERANCE`) within 1 m of the world origin.
+        frame: image or cloud. The plane that was found in it is used instead of `table` if both
+            planes differ in height by at most 5 cm (`HEIGHT_TOLERANCE`) within 1 m of the world
+            origin.
         table: largest table of all images; None: no table.
         config: `max_height` is used.
 
@@ -451,8 +457,8 @@ def _is_off_robot(
 def _is_over_table(
     means: FloatArray, parts: Sequence[_AbovePlane], table: TablePlane, config: SegmentationConfig
 ) -> BoolArray:
-    """Checks which points belong to objects over the table, overhanging objects included (stage 5
-    of the segmentation).
+    """Checks for each voxel whether it belongs to an object over the table, overhanging objects
+    included (stage 5 of the segmentation).
 
     An object with contact to a wall behind the table does not include the wall: most of the wall is
     beside the table, and the wall continues beyond the maximum overhang.
@@ -545,8 +551,9 @@ def _select_obstacles(
 
     Args:
         label: (M,) index of the cluster of each voxel, -1: none.
-        is_higher: (M,) whether each voxel is higher above the table than depth noise and the upward
-            bend with which the camera measures a distant flat table; None: without a table.
+        is_higher: (M,) whether the height of each voxel above the table exceeds the measurement
+            error: depth noise, plus the upward bend with which the camera measures a distant flat
+            table. None: without a table.
         config: `min_cluster_voxels` is used.
 
     Returns:

@@ -22,8 +22,8 @@ DEPTH_NOISE = 0.0015
 """Standard deviation of a measured depth divided by the square of that depth [1/m]: the camera
 noise that the table fit and the segmentation assume."""
 LEAST_SHARE = 0.05
-"""Minimum fraction of an image's pixels with depth, and of its sampled points on the support plane;
-with less, the image or plane is rejected [-]."""
+"""Minimum fraction of pixels with depth in an image, and of sampled points on its support plane
+[-]. An image, or a plane, with a smaller fraction is rejected."""
 HEIGHT_TOLERANCE = 0.05
 """Maximum difference between the height of a table and its expected height, or between the tables
 in two images that count as the same table [m]."""
@@ -40,10 +40,11 @@ _PLANE_TILT_UNKNOWN = math.radians(50.0)
 """Maximum angle between the normal of a detected table and `_UP_UNKNOWN`, if the camera's pose is
 unknown [rad]."""
 _BANDS = (2.0, 1.0, 0.7, 0.5, 0.5)
-"""Maximum distances of the points used in five successive least-squares fits of a plane, relative
-to the maximum distance of a point on the plane (`_PLANE_TOLERANCE` plus depth noise) [-].
+"""Half-widths of the bands around a plane whose points are used in five successive least-squares
+fits of the plane [-].
 
-The last, narrow bands exclude the feet of objects.
+A half-width is the maximum distance of a point from the plane, divided by the tolerance of the
+point (`_PLANE_TOLERANCE` plus depth noise). The last, narrow bands exclude the feet of objects.
 """
 _REFINED_POINTS = 4000
 """Approximate maximum number of points in a least-squares fit of the support plane."""
@@ -71,11 +72,11 @@ _BEYOND_IMAGE = 0.3
 """Distance by which the extent of a table is assumed to continue beyond the border of the image
 [m]."""
 _BORDER = 2
-"""Width of the image border at which a table is assumed to continue beyond the image, in rows or
-columns of the sampling grid."""
+"""Maximum distance of a table's border points from the outermost sampled points, in rows or columns
+of the sampling grid. At these border points the table is assumed to continue beyond the image."""
 _ANGLES = np.arange(48) * (2.0 * np.pi / 48)
-"""Angles (48,) in the table's plane, from the first of its two axes (`plane_axes`), of the outer
-normals of the half-planes that bound the extent of the table [rad]."""
+"""Angles (48,) of the outer normals of the half-planes that bound the extent of a table [rad]. They
+are measured in the table's plane, from the first axis of `plane_axes`."""
 _OUTWARD = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 """Outer normals (48, 2) of the half-planes that bound the extent of a table, in two axes of the
 table's plane."""

@@ -17,15 +17,16 @@ processes a frame in these steps:
 6. Output: clouds that changed by more than noise (`select_output_clouds`). Receivers compare clouds
    with the previous ones, and do not replan because of noise.
 
-Evidence of a remembered point, from 1 to 4; the point is confirmed, and output, from 2 (from 3 if
-its track rests and was output before; at once if it is in the first frame or a large new cluster):
+Each remembered point has evidence from 1 to 4. A point is confirmed, and output, as soon as its
+evidence reaches 2, or 3 if its track rests and was output before. A point in the first frame or in
+a large new cluster is confirmed at once. A frame changes the evidence:
 
     the images observe                                  evidence
     a point of a cluster there                          + 1
     free space there, in at least one image             at most 1 remains; the next time 0: deleted
-    a surface there, but the track has no cluster       as free space
+    a surface there, and the track has no cluster       as free space
     a surface there, but no point of a cluster          - 1
-    an obstacle before its own remembered point         - 1
+    its own obstacle in front of the point              - 1
     nothing: occluded, no depth, outside the images     unchanged
 
 An unconfirmed point whose evidence decreases is deleted at once. A point is occluded only if it is
@@ -108,15 +109,16 @@ to `min_cluster_voxels` [-]."""
 _MEAN_FRAMES = 20
 """Maximum number of frames over which the position of a remembered point of a track is averaged."""
 _OCCLUDED_SHARE = 0.3
-"""Minimum occluded fraction of a track's remembered points beyond a visible side (end along a world
-axis) of the obstacle, at which this side does not count as measured [-]."""
+"""Fraction of occluded points, among a track's remembered points beyond a side (end along a world
+axis), from which on this side is not measured [-]: the obstacle may continue there, occluded."""
 _SIDE_SLACK = 0.004
-"""Distance from an obstacle's side (end along an axis) above which a remembered point counts as
-beyond it, in the test for occluded sides [m]."""
+"""Minimum distance beyond an obstacle's side (end along an axis) of the remembered points that are
+counted for `_OCCLUDED_SHARE` [m]."""
 _MIN_VISIBLE_SHARE = 0.2
-"""Minimum divisor in the motion evidence of a track (number of visible points that are not observed
-again, over the number of visible points), as a fraction of the number of all its remembered points
-[-]. It prevents high evidence from few visible points."""
+"""Minimum divisor in the motion evidence of a track, relative to the number of all remembered
+points of the track [-]. Motion evidence is the number of visible points that are not observed
+again, divided by the number of visible points. The minimum prevents high evidence from few visible
+points."""
 _EVIDENCE_DECAY = 0.9
 """Factor per frame by which the motion evidence of a track (fraction of its visible points that are
 not observed again) decays [-]."""
@@ -124,8 +126,9 @@ _CORRECTION = 0.003
 """Displacement of a track by the Kalman filter's correction above which remembered points are
 compared with the frame again [m]."""
 _MIN_SUPPORT_RATIO = 0.9
-"""Minimum number of a track's remembered points with an observed point nearby after a correction of
-its position, relative to their number before it, to accept the correction [-]."""
+"""Minimum fraction of supported points that a resting track must retain after a correction of its
+position [-]: the number of remembered points with an observed point nearby after the correction,
+over the same number before the correction. With less, the correction is undone."""
 _SPLIT_FRAMES = 3
 """Number of consecutive frames with an obstacle in separate parts, after which its track is
 split."""
@@ -249,9 +252,8 @@ class Association:
             tracks, that of the track with the most common points.
         is_shared: (C,) whether a cluster belongs to several tracks.
         new_clusters: indices of the clusters that start new tracks, in the order of the new rows.
-        partner: (M,) for each track that shares a cluster, the row of that track in the cluster
-            which has the most remembered points; -1: it is the track itself, or the track shares no
-            cluster.
+        partner: (M,) row of the track with the most remembered points among the tracks that share a
+            cluster with each track; -1: the track shares no cluster, or itself has the most points.
     """
 
     point_row: IntArray
@@ -273,6 +275,9 @@ def associate(
     """Assigns clusters of a frame to tracks (data association): by common points, else by predicted
     centroids.
 
+    An observed point within 2 cm (`_MATCH_RADIUS`) of the nearest remembered point is a common
+    point of the observed point's cluster and the remembered point's track.
+
     A track owns every cluster with enough common points: at least 4 (`_COMMON_POINTS`), and at
     least 25 % (`_COMMON_SHARE`) of the points of the cluster or track, whichever has fewer. A
     cluster that several tracks own is divided: each point belongs to the track of the nearest
@@ -284,8 +289,8 @@ def associate(
         points: (Q, 3) points of the frame in the world [m].
         cluster: (Q,) index of the cluster of each point.
         clusters: C, number of clusters.
-        votes_for: (Q,) index of the remembered point nearest to each point, which thereby counts as
-            a common point of its cluster and that track; -1: none within `_MATCH_RADIUS`.
+        votes_for: (Q,) index of the remembered point nearest to each point; -1: none within
+            `_MATCH_RADIUS`.
         track_points: (N, 3) predicted remembered points in the world [m].
         owner: (N,) row of the track of each remembered point.
         tracks: M, number of tracks.
@@ -358,10 +363,11 @@ def update_tracks(
             every surface, without occlusion.
         stamp: time of the frame [s].
         config: parameters of the segmentation; None: defaults.
-        robot: collision geometry of the robot in the world at that time; None: not considered.
-        complete: whether the frame contains an image of each camera. Otherwise points behind a
-            visible part of their own obstacle remain, since a missing camera may have observed
-            them.
+        robot: collision geometry of the robot in the world at that time; remembered points at the
+            place of the robot remain. None: no robot.
+        complete: whether the frame contains a usable image of each camera. If False, remembered
+            points behind the visible part of their own obstacle remain, since the camera without an
+            image may have a view of them.
 
     Returns:
         State after the frame; its `obstacles` are the output.
@@ -488,19 +494,20 @@ class _FrameUpdate:
         return _Comparison(p_WQ, nearest, to_remembered, to_frame, state, image_state, pixel)
 
     def _reject_corrections(self, predicted: Tracks, before: _Comparison) -> _Comparison:
-        """Undoes position corrections of resting tracks after which fewer of their remembered
-        points are near a point of the frame.
+        """Undoes position corrections of resting tracks that contradict the points of the frame.
 
-        The limit is 90 % of the previous number (`_MIN_SUPPORT_RATIO`). A side (end along a world
-        axis) of a thin object may be visible at different places in two frames although the object
-        rests. Then the object's surface does not fit the corrected position.
+        For each track, the remembered points near a point of the frame are counted before and after
+        the correction. The correction is undone if their number decreases to less than 90 %
+        (`_MIN_SUPPORT_RATIO`) and the velocity of the track is not significant. A side (end along a
+        world axis) of a thin object may be visible at different places in two frames although the
+        object rests. Then the object's surface does not fit the corrected position.
 
         Args:
             predicted: tracks before the correction.
             before: comparison of the tracks' points with the frame before the correction.
 
         Returns:
-            Comparison of the remembered points with the frame for the tracks that result.
+            Comparison of the remembered points, at their final positions, with the frame.
         """
         after, owner = self._compare(), self.points.owner
         rows = np.arange(len(self.tracks))
@@ -523,11 +530,11 @@ class _FrameUpdate:
         return self._compare()
 
     def _find_self_occluded(self, association: Association, comparison: _Comparison) -> BoolArray:
-        """Finds the remembered points behind the visible part of their own obstacle, which has
-        moved or rotated.
+        """Finds the remembered points behind the visible part of their own obstacle.
 
-        Such points are behind the obstacle in every image that contains their place. If a camera's
-        image is missing, no point counts, since that camera may have observed the rear side.
+        An obstacle that has moved or rotated has such points. A point is found only if it is behind
+        the obstacle in every image that contains its place. If the image of a camera is missing, no
+        point is found, since that camera may have a view of the rear side.
 
         Returns:
             (N,) whether each remembered point is behind its own obstacle.
@@ -665,9 +672,9 @@ class _FrameUpdate:
     def _split_tracks(self, association: Association, comparison: _Comparison) -> None:
         """Splits each track whose obstacle has been in separate parts for several frames.
 
-        The number of consecutive frames is 3 (`_SPLIT_FRAMES`). Parts that occluded remembered
-        points connect are not separate. The part of the largest cluster retains the track ID; the
-        other parts become new tracks.
+        A track is split in the third consecutive frame (`_SPLIT_FRAMES`) with separate parts. Two
+        parts are not separate if remembered points that the frame does not observe connect them.
+        The part of the largest cluster retains the track ID; the other parts become new tracks.
         """
         tracks, points = self.tracks, self.points
         is_unobserved = (comparison.state != AT) & (comparison.state != FREE)

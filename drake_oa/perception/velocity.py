@@ -9,9 +9,10 @@ Acceleration is white noise of spectral density q, so that a step dt adds the co
 (Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
 ch. 6: continuous white noise acceleration). The axes are independent.
 
-Position is measured by the sides of an obstacle (`find_sides`): along each axis the two places
-beyond which 2 % of its largest visible area lie. The centroid of the visible points shifts when the
-arm occludes a part. A side does not, as long as the image contains free space beyond it.
+Position is measured by the sides of an obstacle (`find_sides`), its robust ends along each axis.
+Beyond each side lie 2 % of the largest visible area of the obstacle. The centroid of the visible
+points shifts when the arm occludes a part of the obstacle. A side does not shift as long as the
+image contains free space beyond this side.
 
 Velocity is measured by the displacement of the surface since an earlier frame: `register_surface`
 aligns the points of both frames (`measure_velocities`).
@@ -42,8 +43,8 @@ _ACCELERATION = 0.001
 per axis, and its minimum for a moving one [m^2/s^3]."""
 _MANEUVER, _FAST_SPEED = 0.05, 0.3
 """Spectral density of the acceleration noise that the Kalman filter assumes for a fast obstacle,
-per axis [m^2/s^3], and the speed from which an obstacle is fast [m/s]. For a slower moving one the
-density decreases with the square of the speed."""
+per axis [m^2/s^3], and the speed from which an obstacle is fast [m/s]. For a slower moving obstacle
+the density is proportional to the square of the speed, but at least `_ACCELERATION`."""
 _START_SPEED = 0.03
 """Minimum speed of a tracked obstacle at which a frame can be evidence that the obstacle moves
 [m/s]."""
@@ -89,10 +90,12 @@ _MOVING_SCORE = 2 * _SIGNIFICANT_SCORE
 a likely one (above `_STOP_STATISTIC`, with motion evidence above `_STRONG_EVIDENCE`). One frame
 with a measured velocity and a statistic above `_CERTAIN_STATISTIC` suffices."""
 _REST_RADIUS = 0.004
-"""Displacement from its resting position beyond which an obstacle can start to move [m]."""
+"""Distance of an obstacle from its resting position above which a significant velocity (speed
+statistic above `START_STATISTIC`) counts as evidence of motion [m]. With a statistic above
+`_CERTAIN_STATISTIC`, no distance is required."""
 _MIN_EVIDENCE = 0.04
 """Motion evidence (fraction of a track's visible points that are not observed again) above which a
-resting obstacle can start to move [-]."""
+resting obstacle is suspected to move, so that its velocity is measured [-]."""
 MAX_GAP = 1.0
 """Maximum time between two frames from which a velocity is computed [s]. After a longer gap, all
 tracks count as resting."""
@@ -112,9 +115,9 @@ class Tracks(Frozen):
         covariance: (M, 3, 2, 2) covariance of position and velocity along each world axis.
         shift_W: (M, 3) translation from the frame O of the remembered points to the world [m]: p_WQ
             = p_OQ + shift_W.
-        p_shift_W: (M, 3) position of the obstacle in the world for which its remembered points are
-            placed by `shift_W` [m]: the filtered position of a moving obstacle, the running mean of
-            the filtered position of a resting one.
+        p_shift_W: (M, 3) position of the obstacle in the world at which its remembered points are
+            placed [m]. For a moving obstacle, it is the filtered position; for a resting one, the
+            running mean of the filtered position.
         sides: (M, 3, 2) lowest and highest side (end) of the obstacle along each world axis,
             relative to the filtered position [m]; NaN while unknown.
         area: (M,) largest visible area, perpendicular to the line of sight [m^2]; it decreases by
@@ -127,7 +130,7 @@ class Tracks(Frozen):
             `_CERTAIN_STATISTIC`, and 1 above `_STOP_STATISTIC` with motion evidence above
             `_STRONG_EVIDENCE`; `_decide_motion` has all conditions. From `_MOVING_SCORE` on, a
             resting obstacle moves.
-        rest_time: (M,) time since which the speed statistic has been below `_STOP_STATISTIC`, or
+        rest_time: (M,) time for which the speed statistic has been below `_STOP_STATISTIC`, or
             the speed below `_REST_SPEED`, without interruption [s].
         unmeasured_time: (M, 3) time since the last measurement along each world axis [s].
         is_outlier: (M, 3) whether the last position measured along each axis was an outlier, more
@@ -273,12 +276,16 @@ def correct_tracks(
     """Corrects the tracks by the positions and velocities measured in a frame, and decides which
     tracks move.
 
-    The gate is a difference between measurement and prediction of `_OUTLIER` (5) standard
-    deviations, along each axis. A measured position beyond it is an outlier, and is rejected. A
-    second outlier in a row is accepted, since the obstacle has changed its motion: the variance of
-    the predicted position grows by the square of the difference, and the predicted velocity becomes
-    as uncertain as that of a new track. The predicted velocity also becomes as uncertain if the
-    measured velocity is beyond the gate, for example when a resting obstacle starts to move.
+    Along each axis, a measurement is beyond the gate if it differs from its prediction by more than
+    `_OUTLIER` (5) standard deviations.
+
+    - A position beyond the gate is an outlier, and is rejected. A second outlier in a row is
+      accepted, since the obstacle has changed its motion: the variance of the predicted position
+      grows by the square of the difference, and the variance of the predicted velocity is reset.
+    - A velocity beyond the gate is accepted, for example when a resting obstacle starts to move:
+      the variance of the predicted velocity is reset.
+
+    The reset velocity variance is that of a new track (`INITIAL_SPEED`).
 
     Args:
         tracks: predicted tracks.
@@ -396,8 +403,9 @@ surface normal."""
 _ITERATIONS = 4
 """Number of iterations of the registration that measures the displacement between two surfaces."""
 _MAX_SPREAD_RATIO = 0.5
-"""Maximum standard deviation of a displacement along an axis for the velocity along this axis to
-count as measured, relative to the standard deviation of the prior displacement [-]."""
+"""Maximum standard deviation of a registered displacement along an axis, relative to the standard
+deviation of the predicted displacement that the registration assumes [-]. Above it, the velocity
+along this axis counts as not measured."""
 _CORRELATED_POINTS = 12.0
 """Number of neighboring points assumed to share one depth error, since camera noise is smooth over
 pixels. It divides the weight of each point in the registration [-]."""
@@ -405,18 +413,19 @@ _GATE = 0.02
 """Maximum distance between corresponding points of two surfaces in the last iteration of their
 registration [m]."""
 _BETTER_FIT = 0.8
-"""Maximum misfit (sum of mean distances between two surfaces after their registration) of the
-registration from an alternative start, relative to that from the prediction, at which the
-alternative counts as clearly better [-]."""
+"""Ratio of two misfits below which a registration from the alternative start is clearly better than
+that from the prediction, and is used instead [-]. The misfit of a registration is the sum of two
+mean distances: from the earlier surface to the later one, and in reverse."""
 _SPEED_STEP = 0.1
-"""Maximum apparent speed that one depth step (resolution of the camera's depth) may cause in a
-measured velocity: the step over the age of the earlier frame [m/s]."""
+"""Maximum apparent speed of an obstacle due to one depth step (resolution of the camera's depth)
+[m/s]. The apparent speed is the step divided by the age of the earlier frame; the velocity is not
+measured until this frame is old enough."""
 _CONSTANT_DEPTH = 1.2
 """Depth beyond which the standard deviation of a measured point grows with the square of the depth
 [m]."""
 _MAX_REFERENCE_AGE = 0.19
-"""Age above which an earlier frame is used to measure the velocity of an obstacle, however large
-the camera's depth step is [s]."""
+"""Age from which an earlier frame is used to measure the velocity of an obstacle, even if the depth
+step of the camera causes a larger apparent speed than `_SPEED_STEP` [s]."""
 
 
 class Reference(NamedTuple):
@@ -450,8 +459,8 @@ def register_surface(
     later points (Chen and Medioni 1992). The weights w_i reject edges and outliers. The iterations
     start at the guess. They converge to a wrong minimum if the guess differs from the true
     displacement by more than the width of a face of the obstacle. They are therefore repeated from
-    an alternative start, whose result is used if the mean distance between the surfaces is then at
-    most 0.8 times as large (`_BETTER_FIT`).
+    an alternative start. The second result is used if the mean distance between the surfaces is
+    then less than 0.8 times (`_BETTER_FIT`) that of the first result.
 
     Args:
         before, now: (N, 3) earlier and (M, 3) later surface in the world [m].
@@ -541,11 +550,11 @@ def measure_velocities(
 
     The depth of a structured-light camera has steps that grow with the square of the depth. Between
     consecutive frames the depth of a distant obstacle remains within one step, as if the obstacle
-    rested. The reference is therefore older: it remains until a step is at most 0.1 m/s
-    (`_SPEED_STEP`) times its age, or until its age is `_MAX_REFERENCE_AGE`. Each reference is used
-    once, so that no displacement is counted twice. The velocity of a resting track is measured only
-    if the track has motion evidence, or its centroid differs from that of the reference by more
-    than `_REST_RADIUS` along an axis.
+    rested. The reference is therefore older: it remains, and no velocity is measured, until the
+    step divided by its age is at most 0.1 m/s (`_SPEED_STEP`), or its age is `_MAX_REFERENCE_AGE`.
+    Each reference is used once, so that no displacement is counted twice. The velocity of a resting
+    track is measured only if its motion evidence is above `_MIN_EVIDENCE`, or the centroid of its
+    points differs from that of the reference by more than `_REST_RADIUS` along an axis.
 
     Args:
         tracks: M predicted tracks.
@@ -593,10 +602,12 @@ def measure_velocities(
 
 
 _BEHIND = 0.01
-"""Minimum depth by which a pixel of an obstacle must be behind the straight line from a side (end
-along a world axis) outward along the axis, to show that the obstacle ends there [m].
+"""Minimum depth difference at which an obstacle's surface, beside one of its sides, shows that the
+obstacle ends at this side (end along a world axis) [m].
 
-The value applies to an obstacle at a depth of 1 m, and grows with the square of the depth.
+The difference is measured from a straight line, which extends the side outward along the axis, to
+the surface behind it in the image. The value applies to an obstacle at a depth of 1 m, and grows
+with the square of the depth.
 """
 _STEPS = np.arange(1, 24)
 """Distances from a side (end along an axis) of an obstacle at which the image is searched for free
@@ -667,7 +678,8 @@ def count_open_sides(
         none of 23 pixels decides                                    may continue
 
     If the angle between the world axis and the line of sight to the point has a sine below 0.3
-    (`_MIN_SINE`), no pixel beside the obstacle is informative; it is assumed to end at the side.
+    (`_MIN_SINE`), no pixel beside the obstacle is informative; the obstacle is assumed to end
+    there.
 
     Args:
         points: (S, 3) points of the obstacles' visible surfaces in the world [m].
@@ -717,20 +729,21 @@ DEPTH_MARGIN = 0.03
 """Maximum depth difference between a measured surface and a point that counts as lying on it
 [m]."""
 _SIDE_TAIL = 0.02
-"""Fraction of an obstacle's area that lies beyond each of its sides, which are thereby defined as
-robust ends along the world axes [-].
+"""Fraction of an obstacle's area beyond each of its sides (robust ends along the world axes) [-].
 
-The area is the visible or the largest earlier one, whichever is larger.
+The sides are defined by this fraction. The area is the visible or the largest earlier one,
+whichever is larger.
 """
 _OPEN_SHARE = 0.7
-"""Minimum fraction of the points at a side (end along an axis) with free space beyond them, for the
-obstacle to end there [-]."""
+"""Minimum fraction of points with free space beyond them, among the points at a side (end along an
+axis) of an obstacle [-]. With less, the obstacle may continue beyond the side."""
 _MIN_AREA_SHARE = 0.15
-"""Minimum visible area of an obstacle, relative to the largest in earlier frames, for its position
-to be measured by its sides [-]."""
+"""Minimum visible area of an obstacle, relative to its largest visible area in earlier frames [-].
+With less, the position of the obstacle is not measured."""
 _GROWTH = 1.1
-"""Ratio of an obstacle's visible area to the largest in earlier frames, above which the obstacle is
-entering the image, so that its measured sides (ends along the axes) are uncertain [-]."""
+"""Visible area of an obstacle, relative to its largest visible area in earlier frames, above which
+the obstacle counts as entering the image [-]. Its measured sides (ends along the axes) are then
+uncertain."""
 _GROWTH_FACTOR = 6.0
 """Factor by which the standard deviation of the measured sides (ends along the axes) increases for
 an obstacle that is entering the image [-]."""
@@ -738,8 +751,8 @@ _SIDE_GRAIN = 0.7
 """Standard deviation of a measured side (end along an axis) of an obstacle due to the image's
 resolution [pixel]."""
 _OCCLUSION_FACTOR = 3.0
-"""Relative increase of the standard deviation of an obstacle's sides (ends along the axes) per
-occluded fraction of its area [-]."""
+"""Relative increase of the standard deviation of an obstacle's measured sides (ends along the
+axes), divided by the occluded fraction of the obstacle's area [-]."""
 _SIDE_LEARNING = 0.05
 """Weight of one frame in the running mean of the distance between two opposite sides (ends along an
 axis) of an obstacle [-]."""
@@ -747,8 +760,10 @@ axis) of an obstacle [-]."""
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """Sides of M tracked obstacles in one frame: places along the world axes beyond which 2 %
-    (`_SIDE_TAIL`) of the obstacle's largest visible area, in this or earlier frames, lie.
+    """Sides of M tracked obstacles in one frame: robust ends of each obstacle along the world axes.
+
+    Beyond each side lie 2 % (`_SIDE_TAIL`) of the largest visible area of the obstacle, in this or
+    earlier frames.
 
     Attributes:
         place: (M, 3, 2) world coordinates of the lowest and highest side along each axis [m]; NaN
@@ -821,19 +836,21 @@ def find_sides(
 def measure_positions(
     sides: Sides, known_sides: FloatArray, known_area: FloatArray, deviation: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Computes the positions of tracked obstacles along each axis from their m visible sides, and
-    the variances of the positions.
+    """Computes the positions of tracked obstacles along each axis from their visible sides, and the
+    variances of the positions.
 
-    The position along an axis is the mean, over the m = 1 or 2 visible and known sides (ends of the
-    obstacle), of the side in this frame minus the known side relative to the position.
+    Sides are the ends of an obstacle along an axis. For a known side, earlier frames have shown at
+    which distance from the position it lies. The coordinate of a visible side in this frame, minus
+    this signed distance, is one measurement of the position. The position is the mean over the m
+    sides (1 or 2 along each axis) that are both visible and known.
 
     Symbols: sigma is the standard deviation of depth, delta the width of a pixel at the obstacle,
     and rho the occluded fraction of `known_area`. The position has the variance
 
         (sigma^2 + (_SIDE_GRAIN delta)^2) (1 + _OCCLUSION_FACTOR rho)^2 / m
 
-    For an obstacle that is entering the image (its visible area is more than `_GROWTH` times
-    `known_area`), it is larger by the square of `_GROWTH_FACTOR`.
+    An obstacle is entering the image if its visible area is more than `_GROWTH` times `known_area`.
+    Then this variance is multiplied by the square of `_GROWTH_FACTOR`.
 
     Args:
         sides: sides in this frame.
@@ -864,8 +881,9 @@ def learn_sides(sides: Sides, known_sides: FloatArray, p_W: FloatArray) -> Float
     """Updates the known sides (ends along the world axes) of tracked obstacles, relative to their
     positions, by the sides in a frame.
 
-    A side that is visible for the first time is stored. Of two known sides only the distance
-    between them is averaged over frames, since the position must not drift.
+    A side that is visible for the first time is stored. If both sides along an axis are known and
+    visible, only the distance between them is averaged over frames. Their midpoint does not change
+    relative to the position, so that the position does not drift.
 
     Args:
         sides: sides in the frame.

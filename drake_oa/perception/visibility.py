@@ -72,8 +72,10 @@ def with_occluded_extents(
     cameras: Sequence[tuple[FloatArray, ImageRange]],
     seen_free: Callable[[FloatArray], BoolArray] | None = None,
 ) -> ObstacleClouds:
-    """Extends the clouds of obstacles that the border of an image truncates, vertically by their
-    visible height.
+    """Extends the clouds of truncated obstacles vertically by their visible height.
+
+    An obstacle is truncated if its cloud ends at the upper or lower border of an image, or at the
+    minimum depth. The extension is at most 0.5 m high (`_MAX_EXTENSION`).
 
     Args:
         obstacles: observed obstacles.
@@ -97,8 +99,10 @@ def with_occluded_extents(
 
 
 def _extents(cloud: FloatArray, X_WC: FloatArray, image: ImageRange) -> Iterator[FloatArray]:
-    """Yields points (M, 3) in the world [m] that extend an obstacle's cloud vertically beyond each
-    border of an image, and the minimum depth, at which it is truncated.
+    """Yields points (M, 3) in the world [m] that extend a truncated obstacle's cloud vertically.
+
+    There is one array for each limit at which the cloud ends: the upper border of the image, its
+    lower border, and the minimum depth of the camera.
 
     Args:
         cloud: (N, 3) points of the obstacle in the world [m].
