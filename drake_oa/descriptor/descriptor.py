@@ -25,9 +25,10 @@ the points that are known to be free, such as start and goal."""
 _FEWEST = 8
 """Number of points below which a cloud, or a part of it, is not halved."""
 _MERGED = 1.3
-"""Maximum volume of a bounding box around two tool parts for which both parts are merged [-].
+"""Maximum ratio of volumes at which two parts of the tool are merged [-].
 
-The volume is divided by the sum of the volumes of both parts' own bounding boxes."""
+It is the volume of one bounding box around both parts, divided by the sum of the volumes of their
+separate bounding boxes."""
 
 
 def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
@@ -52,10 +53,10 @@ def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
 
 
 def merged_parts(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-    """Merges convex parts of a tool if their common bounding box is hardly larger than their boxes.
+    """Merges parts of a tool if one bounding box around both is hardly larger than separate ones.
 
-    Two parts are merged if the volume of the common axis-aligned box is at most 1.3 times the sum
-    of the volumes of their boxes (`_MERGED`).
+    Two parts are merged if the volume of their common axis-aligned bounding box is at most 1.3
+    times (`_MERGED`) the sum of the volumes of their separate bounding boxes.
 
     Args:
         parts: vertices (K_i, 3) of each convex part of the tool, all in one frame [m].
@@ -84,12 +85,12 @@ def _box_volume(points: FloatArray) -> float:
 
 Method = Literal["enclosing", "least_squares"]
 """Name of a method by which `describe` computes the ellipsoid of a dilated cloud: "enclosing", the
-ellipsoid of minimum volume that contains it, or "least_squares", the superquadric fit (11) of
-Pairet et al., RA-L 2019."""
+ellipsoid of minimum volume that contains the cloud, or "least_squares", the superquadric fit by
+equation (11) of Pairet et al., RA-L 2019."""
 
 _ROOM = 0.02
-"""Distance of a point that is known to be free, such as start or goal, from an ellipsoid, below
-which the obstacle is divided in parts [m]."""
+"""Minimum distance between an obstacle's ellipsoid and the points that are known to be free, such
+as start and goal [m]. With less, the obstacle is divided into parts."""
 
 
 Shape = tuple[FloatArray, FloatArray, FloatArray]
@@ -116,16 +117,16 @@ def describe(
         tool_W: (K, 3) vertices of the tool's convex hull relative to the tool point E, in world
             orientation [m].
         method: "enclosing": the ellipsoid of minimum volume (`ellipsoid.enclosing_ellipsoid`).
-            "least_squares": the superquadric (11) of Pairet et al., RA-L 2019, with exponents of 1,
-            an ellipsoid, fitted to the support points of the dilated cloud; parts of the obstacle
-            stay outside.
+            "least_squares": the fit of a superquadric to the support points of the dilated cloud by
+            equation (11) of Pairet et al., RA-L 2019. With its exponents of 1 it is an ellipsoid;
+            parts of the obstacle stay outside.
         free_W: (F, 3) positions of the tool point E in the world frame that are known to be free,
-            such as start and goal [m]. An obstacle is divided into parts if the ellipsoid contains
-            one of these positions or is closer than 2 cm, and if the ellipsoids of the parts have a
-            larger distance. Method "enclosing" only.
+            such as start and goal [m]. If an ellipsoid contains one of these positions, or is
+            closer than 2 cm to one, the obstacle is divided into parts. The parts are used only if
+            their ellipsoids have a larger distance. Method "enclosing" only.
         tool_parts: vertices (K_i, 3) of each convex part of the tool, relative to E in world
-            orientation [m]. A divided obstacle has one ellipsoid for each pair of its part and a
-            part of the tool. Empty: the whole tool is the only part.
+            orientation [m]. A divided obstacle has one ellipsoid for each pair of a part of the
+            obstacle and a part of the tool. Empty: the whole tool is the only part.
 
     Returns:
         Set with one ellipsoid for each obstacle, or several for a divided obstacle.
@@ -204,8 +205,8 @@ def _parts(
         halvings: number of successive halvings of the cloud into parts.
         free: (F, 3) positions of the tool point E in the world that are known to be free, such as
             start and goal [m].
-        min_room: distance of an ellipsoid from the free positions at or below which the computation
-            stops early, because the result would not be used [m].
+        min_room: distance from the free positions that every ellipsoid must exceed for the result
+            to be used [m]. The computation stops at the first ellipsoid that does not.
 
     Returns:
         Ellipsoids, and their minimum distance from the free positions [m].

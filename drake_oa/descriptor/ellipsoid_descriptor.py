@@ -35,8 +35,9 @@ class EllipsoidDescriptor(LeafSystem):
     - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, IDs, velocities and
       support plane (`table`) of the clouds, and their `note`, the reason why the observation is
       degraded. An obstacle without finite points is omitted, and the note names the obstacle. If an
-      enclosing ellipsoid would contain a position that is known to be free, or come within 2 cm of
-      one, the obstacle is divided into parts and has several rows, if that increases the distance.
+      enclosing ellipsoid would contain a position that is known to be free, or be closer than 2 cm
+      to one, the obstacle is divided into parts. If their ellipsoids have a larger distance from
+      the free positions, the obstacle has several rows, one for each of these ellipsoids.
 
     The system has no state. The output is cached until an input changes. The computation is
     described in `drake_oa.descriptor.descriptor.describe`.
@@ -61,8 +62,8 @@ class EllipsoidDescriptor(LeafSystem):
             free_W: (F, 3) positions of the tool point in the world frame that are known to be free,
                 such as the start [m].
             tool_parts: vertices (K_i, 3) of each convex part of the tool, relative to the tool
-                point in world orientation [m]. They dilate the parts of a divided obstacle one by
-                one; empty: the whole tool dilates them.
+                point in world orientation [m]. Each part of a divided obstacle is dilated by
+                each part of the tool; empty: by the whole tool.
 
         Raises:
             ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, or free_W is
