@@ -2,15 +2,18 @@
 
 In:  collision_scene_W `CollisionScene`, all collision geometry but the robot, in the world frame W;
      policy_state `PolicyState`, state of the movement primitive; goal (3,) of the tool in W [m];
-     robot_state (2m,), positions and velocities [rad, m, rad/s, m/s]; ellipsoids_W `EllipsoidSet`;
-     coupling_parameters `CouplingParameters` of the regressor chain, and route `Route`, the sides
-     on which obstacles are passed.
+     robot_state (2m,), positions and velocities of all m joints [rad, m, rad/s, m/s];
+     ellipsoids_W `EllipsoidSet`, the obstacles dilated by the tool; coupling_parameters
+     `CouplingParameters` of the regressor chain; route `Route`, the side on which the cost rings
+     pass each obstacle.
 Out: coupling_parameters and route of the selected motion; demonstration `Demonstration`, which the
-     motion imitates after a restart from rest; motion `PlannedMotion` of the tool and of the arm's
-     joints (T, n) [rad]; shortfall of the minimum clearance, and clearance_reduction, by which
-     start or goal reduce the requested clearance [m]; decision, the start time and the compute
-     latency of the last decision [s]; source of the motion (kind of candidate), and numbers of
-     candidates of each kind; sides `Route`, the costs of the passing sides, for a viewer.
+     motion imitates after a restart from rest; motion `PlannedMotion`, the predicted motion of the
+     tool and of the arm's n joints (T, n) [rad]; shortfall, by which the motion falls below the
+     required clearance [m]; clearance_reduction, by which the required clearance is below the
+     requested one, because start or goal is near an obstacle [m]; decision, the start time and the
+     compute latency of the last decision [s]; source, the kind of the selected candidate;
+     candidates, the number of candidates of each kind; sides `Route`, the costs of the passing
+     sides, for a viewer.
 
 Systems
     GroundTruthScene  collision scene (collision geometry without the robot) of the simulator
@@ -31,7 +34,7 @@ Method
     the arm), and the arm is at rest, the movement primitives imitate a joint-space path
     (RRT-Connect, J. J. Kuffner and S. M. LaValle, ICRA 2000), which is rolled out like the others.
     If the selected candidate is predicted to be in contact or to miss the goal, or if the arm
-    cannot follow it, the motion is held, and a note gives the reason.
+    cannot follow it, the motion is held (stopped on its path), and a note gives the reason.
 
 Modules, in the order of the data flow: `ground_truth_scene` and `perceived_scene` (collision
 scene); `collision_model` (distances minus required clearances of a configuration); `search`

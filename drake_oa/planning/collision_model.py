@@ -24,10 +24,11 @@ FAR = 0.3
 
 Larger margins are replaced by this value, so that distant geometries are skipped."""
 SPHERE_STRIDE = 0.012
-"""Displacement of the arm's covering spheres between two checked configurations of an edge [m].
+"""Maximum motion of the arm's covering spheres between two successive collision checks [m].
 
-A straight edge in joint space is checked for collisions in such steps, or in longer ones if the
-clearance margin permits."""
+It applies to straight edges in joint space. The spheres may move farther where the clearance margin
+(distance minus required clearance) at the first of the two configurations is larger than this
+value."""
 
 
 class ClearanceRequirements(NamedTuple):
@@ -256,8 +257,9 @@ def pair_distance(
         spheres: spheres that cover the arm.
         center: (G, 3) centers of the groups' bounding spheres in the world frame [m].
         m: row of `spheres.pairs`, which contains the indices of the two groups.
-        offset: offset added to d [m]. It is the overlap of the spheres at which the exact shapes of
-            both bodies are still apart (`spheres.allowance`), minus the required clearance.
+        offset: offset added to d [m]: allowance minus required clearance. The allowance
+            (`spheres.allowance`) is the overlap up to which the spheres of the two bodies do not
+            count as in contact, because the exact shapes are smaller than the spheres.
         upper_bound: upper bound of the result [m].
         stop_below: value below which the computation stops; the result is then not necessarily
             the minimum over the spheres [m].
@@ -295,10 +297,10 @@ def lower_clearance_margins(
     margins: FloatArray,
     stop_below: float,
 ) -> None:
-    """Lowers three clearance margins of the arm, in place, to those of a further configuration.
+    """Updates the arm's three smallest clearance margins, in place, with one more configuration.
 
-    A clearance margin is distance minus required clearance. A margin that is already smaller than
-    that of the configuration stays, so that repeated calls give the minimum along a motion.
+    A clearance margin is distance minus required clearance. Each of the three margins is replaced
+    only by a smaller one, so that repeated calls give the minima along a motion.
 
     Args:
         X: (n + 2, 12) link poses of the configuration, as computed by `chain_poses`.
@@ -370,15 +372,17 @@ def free_fraction(
 ) -> tuple[float, int]:
     """Computes the collision-free fraction of a straight joint-space edge, from its start on.
 
-    Between two checked configurations, no sphere of the arm moves by more than the clearance margin
-    (distance minus required clearance) of the first one, or by `stride` if that is larger. Between
-    them, the clearance can fall below the required one by at most half of `stride`.
+    The edge is checked at single configurations. From a checked configuration to the next one, no
+    sphere of the arm moves farther than the clearance margin (distance minus required clearance) of
+    the former, or than `stride` if `stride` is larger. Between them, the clearance can fall below
+    the required one by at most half of `stride`.
 
     Args:
         world: collision model of the arm, with the required clearances.
         q_start: (n,) configuration at the start of the edge [rad].
         q_end: (n,) configuration at the end of the edge [rad].
-        stride: displacement of the spheres between checked configurations at small margins [m].
+        stride: maximum displacement of the spheres between two checked configurations, where the
+            clearance margin is smaller than this value [m].
 
     Returns:
         Collision-free fraction, 1 for the entire edge, and number of checked configurations.
@@ -408,9 +412,9 @@ def free_fraction(
 def min_clearance_margin(world: ArmCollisionModel, q: FloatArray) -> float:
     """Computes the minimum clearance margin of the arm over T configurations [m].
 
-    A clearance margin is distance minus required clearance. The result is at most 0.3 m (`FAR`). In
-    a configuration with negative margins, only the first negative margin found is considered, which
-    may not be the smallest.
+    A clearance margin is distance minus required clearance. The result is at most 0.3 m (`FAR`). A
+    negative result may not be the smallest margin: in each configuration, the computation stops at
+    the first negative margin.
 
     Args:
         world: collision model of the arm, with the required clearances.
@@ -427,9 +431,10 @@ def min_clearance_margin(world: ArmCollisionModel, q: FloatArray) -> float:
 def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
     """Computes the minimum distance between bodies of the arm at a configuration [m].
 
-    Covering spheres represent the bodies. The overlap of two bodies' spheres at which their exact
-    shapes are still apart (`spheres.allowance`) is added to their distance. The result is at most
-    0.3 m (`FAR`), and negative if bodies overlap.
+    Covering spheres represent the bodies. Because the spheres are larger than the exact shapes, an
+    allowance is added to the distance of the spheres: the overlap up to which the two bodies do not
+    count as in contact (`spheres.allowance`). The result is at most 0.3 m (`FAR`), and negative if
+    the spheres of two bodies overlap by more than the allowance.
 
     Args:
         chain: kinematic chain of the arm.

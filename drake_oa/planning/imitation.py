@@ -30,7 +30,8 @@ SAMPLES = 201
 MAX_DURATION_RATIO = 2.0
 """Maximum ratio of an imitated joint-space path's duration to the task's demonstrated duration [-].
 
-The duration is longer if the limits of the joint speeds require it."""
+It is exceeded if the path would otherwise require joint speeds above `SPEED_FRACTION` of their
+limits."""
 SPEED_FRACTION = 0.5
 """Maximum joint speed of an imitated joint-space path, as a fraction of the speed limits [-]."""
 _FILTER_WIDTHS = (0.04, 0.02, 0.01)
@@ -71,7 +72,7 @@ def demonstration(
 
     Raises:
         ValueError: if the tool turns by more than 300 degrees from its orientation at the middle of
-            the path, or start and end of its path coincide.
+            the path, or if the tool has the same position at the start and at the end.
     """
     q = _smooth(world, _resample(corners))
     s = np.linspace(0.0, 1.0, SAMPLES)

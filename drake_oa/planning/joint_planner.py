@@ -3,9 +3,9 @@
 The planner is RRT-Connect (J. J. Kuffner and S. M. LaValle, ICRA 2000) with random shortcuts (R.
 Geraerts and M. H. Overmars, IJRR 2007). Edges are checked for collisions in steps, which are longer
 where the clearance margin (distance minus required clearance) is larger. While the trees grow,
-edges are checked in coarse steps. When the trees meet, the path is checked in fine steps. If an
-edge is in collision, the nodes that it connects to the root of their tree are removed (lazy
-collision checking).
+edges are checked in coarse steps. When the trees meet, the path is checked in fine steps (lazy
+collision checking). If an edge of the path is then found in collision, it is removed from its tree
+together with all nodes beyond it, as seen from the root.
 
 The effort is limited by the number of checked configurations, not by time. The same collision
 model, ends, seed and limit therefore give the same path.
@@ -31,18 +31,23 @@ _MAX_STEP = 0.8
 _MIN_STEP = 0.05
 """Minimum length in joint space of an edge of the planner's trees [rad].
 
-A shorter edge is added only if it covers at least half the distance to its target."""
+A shorter edge is added only if it covers at least half the distance from its start to the
+configuration toward which the tree is extended."""
 _COARSE_STRIDE = 0.1
-"""Displacement of the arm's covering spheres between two coarsely checked configurations [m].
+"""Maximum motion of the arm's covering spheres between two successive coarse collision checks [m].
 
-Edges in joint space are checked coarsely while the trees of the planner grow."""
+Edges in joint space are checked coarsely while the trees of the planner grow. The spheres may move
+farther where the clearance margin (distance minus required clearance) is larger than this value."""
 _NEAR_LINE_FRACTION = 0.8
-"""Fraction of the planner's samples drawn near the joint-space line from start to first goal [-].
+"""Fraction of the planner's random samples that lie near a straight joint-space line [-].
 
-The other samples are uniform within the joint limits."""
+The line leads from the start to the first collision-free one of the given goal configurations. The
+other samples are uniform within the joint limits."""
 _LINE_DEVIATION = 1.0
-"""Standard deviation of each joint of a planner sample from a random configuration on the
-joint-space line from the start to the first goal [rad]."""
+"""Standard deviation, per joint, of the planner samples that lie near a joint-space line [rad].
+
+Each of these samples is a random configuration on the line plus a normally distributed deviation.
+The line leads from the start to the first collision-free one of the given goal configurations."""
 _MAX_SHORTCUTS = 100
 """Number of random shortcuts that the planner tries on each path from start to goal."""
 
@@ -59,8 +64,9 @@ def _counted_free_fraction(
         world: collision model of the arm, with the required clearances.
         q_start: (n,) configuration at the start of the edge [rad].
         q_end: (n,) configuration at the end of the edge [rad].
-        stride: displacement of the covering spheres between checked configurations, where the
-            clearance margin (distance minus required clearance) is not larger [m].
+        stride: maximum displacement of the covering spheres between two checked configurations,
+            where the clearance margin (distance minus required clearance) is smaller than this
+            value [m].
 
     Returns:
         Fraction of the edge that is collision-free from its start on; 1: the entire edge.
@@ -87,18 +93,18 @@ class _Tree:
         self.parent = [-1] * self.size
 
     def extend(self, row: int, target: FloatArray) -> tuple[int, bool]:
-        """Adds a node to the tree, at the end of the collision-free part of an edge to a target.
+        """Extends the tree from a node toward a target, as far as the edge is collision-free.
+
+        The edge is a straight line, at most `_MAX_STEP` long, and is checked in coarse steps
+        (`_COARSE_STRIDE`). A new node is added at the end of its collision-free part. No node is
+        added if this part is shorter than both `_MIN_STEP` and half the distance to the target.
 
         Args:
             row: index of the node at which the edge starts.
-            target: (n,) configuration at which the edge ends [rad]. If it is farther away than
-                `_MAX_STEP`, the edge ends at this distance. The edge is checked in coarse steps
-                (`_COARSE_STRIDE`).
+            target: (n,) configuration toward which the edge leads [rad].
 
         Returns:
-            Index of the new node, or -1 if the collision-free part of the edge is shorter than
-            `_MIN_STEP` and than half the distance to the target; and whether the new node is the
-            target.
+            Index of the new node, -1 if none was added; and whether the new node is the target.
         """
         q = self.q[row]
         distance = math.dist(q, target)
@@ -120,9 +126,10 @@ class _Tree:
     def branch(self, row: int) -> list[int]:
         """Returns the indices of the nodes from a node to its root, if no edge is in collision.
 
-        The edges of this branch are checked for collisions in fine steps (`SPHERE_STRIDE`). If one
-        of them is in collision, the result is empty. The configurations of all nodes that this edge
-        connects to the root are then set to inf, so that `nearest` never returns them.
+        The edges between these nodes are checked for collisions in fine steps (`SPHERE_STRIDE`). At
+        the first edge in collision the check ends, and the result is empty. All nodes beyond that
+        edge, as seen from the root, then get the configuration inf, so that `nearest` never returns
+        them.
 
         Args:
             row: index of the node at which the branch begins.

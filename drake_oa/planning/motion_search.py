@@ -5,7 +5,7 @@ this order:
 
 1. the nominal (demonstrated) motion, without coupling terms;
 2. the coupling terms of the regressor chain of Pairet et al., RA-L 2019, for all obstacles
-   together, with heading guidance to the sides that the cost rings have selected;
+   together; heading guidance also turns this motion to the sides that the cost rings selected;
 3. motions with one coupling term from the evolution strategy of `drake_oa.planning.search`, which
    starts from each of these terms alone, and from a moderate term in each of 16 directions around
    the line from start to goal;
@@ -16,8 +16,9 @@ this order:
 The nominal motion is selected if it achieves the requested clearance, otherwise the shortest
 candidate that does; this candidate remains selected while it achieves the clearance and the nominal
 motion does not. If no candidate achieves it, the one with the least clearance shortfall is executed
-and the shortfall is reported. The motion is held if contact is predicted, if it misses the goal, or
-if the arm cannot follow it; an arm in contact may only retreat from the obstacle.
+and the shortfall is reported. A motion is held (stopped on its path) if it is predicted to be in
+contact or to miss the goal, or if the arm cannot follow it. An arm in contact may only retreat from
+the obstacle.
 """
 
 from __future__ import annotations
@@ -89,14 +90,15 @@ _MIN_ACCEPTABLE_DISTANCE = 1e-3
 _REPLAN_PERIOD = 0.5
 """Minimum time between two joint-space plans while no candidate motion is feasible [s]."""
 _MAX_DEVIATION = 0.015
-"""Difference of a joint from the selected motion above which a resting arm has left it [rad].
+"""Joint angle by which a resting arm must differ from the selected motion to count as off it [rad].
 
-The motion is evaluated at the current phase of the movement primitive."""
+The angle is that of the joint with the largest difference. The motion is evaluated at the current
+phase of the movement primitive."""
 _TOOL_TOLERANCE = 2e-3
-"""Distance of the tool from its desired position, below which `_MAX_DEVIATION` is checked [m].
+"""Maximum distance of the tool from its desired position at which `_MAX_DEVIATION` is checked [m].
 
-The desired position is that of the movement primitive. At larger distances, the arm does not count
-as having left the selected motion."""
+The desired position is that of the movement primitive. At larger distances, a resting arm does not
+count as off the selected motion, however large the differences of its joints are."""
 _CLEARANCE_FRACTIONS = (1.0, 0.5, 0.2)
 """Fractions of the requested clearance for which a joint-space path is planned [-].
 
@@ -137,18 +139,20 @@ class MotionSearch:
 
     Coupling terms are turning rates that steer the movement primitive away from obstacles. The
     candidates are the nominal (demonstrated) motion, the coupling terms of the regressor chain
-    together, motions of an evolution strategy, and the imitation of a joint-space path. With the
-    groups g of spheres that cover the robot (one group per body) and the collision geometries k, a
-    motion must achieve the clearances
+    together, motions of an evolution strategy, and the imitation of a joint-space path.
+
+    A motion must achieve a required clearance between each body of the robot and each collision
+    geometry. It is the requested clearance, or less if the body is nearer to this geometry at the
+    current configuration q_now or at the goal configuration q_goal. For body g and geometry k,
 
         required_gk = min( fraction * requested_g,
                            min( d_gk(q_now), max( d_gk(q_goal), touch_g + slack ) ) - slack )
 
-    requested_g is the clearance requested of group g (tool or link); to geometry of the environment
-    it is at most that of the links. fraction is 1 or, for joint-space plans, less. d_gk(q) is the
-    distance of group g to geometry k at configuration q, touch_g the distance at or below which
-    group g counts as in contact, and slack a tolerance. The current and the goal configuration thus
-    reduce the requirement of single pairs (g, k) only.
+    requested_g is the requested clearance of the body (tool or link); from geometry of the
+    environment it is at most that of the links. fraction is 1 or, for joint-space plans, less.
+    d_gk(q) is the distance of the body's covering spheres from the geometry at configuration q,
+    touch_g the distance at or below which the body counts as in contact, and slack a tolerance. The
+    current and the goal configuration thus reduce the requirement of single pairs (g, k) only.
     """
 
     def __init__(
@@ -212,13 +216,13 @@ class MotionSearch:
         ========= ========== ======= ===========================================================
 
         A held motion is stopped on its path. A motion is executable if it is selected and not held,
-        and if the arm has not left it. The arm leaves its motion by an evasive maneuver of
-        `MotionGuard`; when it rests afterwards, the joint-space plan precedes the search. The time
-        between two plans is at least 0.5 s (`_REPLAN_PERIOD`).
+        and if the arm is still on it. An evasive maneuver of `MotionGuard` can move the arm off its
+        motion; once the arm rests, a joint-space path is then planned first, and the search follows
+        only if no path is found. The time between two plans is at least 0.5 s (`_REPLAN_PERIOD`).
 
-        If the goal has moved, or the movement primitive has another start although the previous
-        decision did not command its restart, the search does not use the best candidates of earlier
-        searches.
+        The search usually starts from the best candidates of the previous search. It starts without
+        them for a new motion: the goal has moved, or the movement primitive has restarted from
+        another position without a command of the previous decision.
 
         Args:
             previous: result of the previous decision.
@@ -276,12 +280,12 @@ class MotionSearch:
         return current
 
     def _has_left_motion(self, current: SelectedMotion, inputs: PlanningInputs) -> bool:
-        """Checks whether the resting arm differs from the current motion by more than 0.015 rad.
+        """Checks whether the resting arm is off the current motion, by more than 0.015 rad.
 
-        The difference is that of any joint from the motion at the current phase (`_MAX_DEVIATION`);
-        evasive maneuvers of `MotionGuard` cause it. The result is False as long as the movement
-        primitive is moving, or its position differs from that of the tool by 2 mm
-        (`_TOOL_TOLERANCE`) or more.
+        The largest difference of a joint from the motion at the current phase is compared with this
+        limit (`_MAX_DEVIATION`). Evasive maneuvers of `MotionGuard` cause such differences. The
+        result is False as long as the movement primitive is moving, and also if the tool is 2 mm
+        (`_TOOL_TOLERANCE`) or more from the position of the movement primitive.
 
         Args:
             current: motion that is executed.
@@ -298,11 +302,12 @@ class MotionSearch:
     def is_still_valid(self, candidate: SelectedMotion, inputs: PlanningInputs) -> bool:
         """Checks whether a motion still achieves its predicted clearance from the current state.
 
-        The motion is rolled out again, because the arm has moved since the start of the decision.
+        The motion is rolled out again, because the arm has moved since the decision started.
         Directly in front of an obstacle, a small displacement can change the side on which the
-        motion passes. The result is False if the shortfall is larger than predicted by more than
-        the tolerance `slack`, or if the arm cannot follow the motion to the goal. It is True if the
-        movement primitive has not left its start, or if the motion has no prediction.
+        motion passes. The result is False if the new clearance shortfall exceeds the one predicted
+        by the decision by more than the tolerance `slack`, or if the arm cannot follow the motion
+        to the goal. The result is True without a roll-out if the movement primitive is still at its
+        start, or if the decision contains no predicted motion.
 
         Args:
             candidate: selected motion with its prediction.
@@ -324,9 +329,10 @@ class MotionSearch:
     ) -> ArmCollisionModel:
         """Builds the arm's collision model, with the required clearances of each body.
 
-        A body must have the fraction of its requested clearance from each geometry, or its distance
-        from this geometry at the current configuration or at the goal, if that is smaller. The
-        docstring of `MotionSearch` has the equation.
+        The required clearance of a body from a geometry is `fraction` times the requested one. If
+        the body is nearer to the geometry at the current configuration or at the goal, the smaller
+        of these two distances, minus a tolerance, replaces it. The docstring of `MotionSearch` has
+        the equation.
 
         Args:
             inputs: configuration and goal of the arm, scene, and proposed coupling terms and route.
@@ -472,19 +478,20 @@ class MotionSearch:
         params: FloatArray,
         length: float,
     ) -> SelectedMotion:
-        """Rolls out a motion with the whole arm, and adds prediction, temporal scaling and note.
+        """Returns a motion with its prediction, temporal scaling and note, from a roll-out.
 
-        The note gives the reason why the motion must be held; it is empty if the motion can be
-        executed.
+        The whole arm is rolled out. The note gives the reason why the motion must be held (stopped
+        on its path); it is empty if the motion can be executed.
 
         Args:
             current: motion to roll out.
             inputs: configuration and goal of the arm, scene, and proposed coupling terms and route.
             search: search that rolls out candidates.
-            params: (1, 6) parameters of the motion's single coupling term: angle of the side [rad];
-                position of its center along and beside the line from start to goal, over its length
-                L; ln kappa L^2; ln psi; ln alpha. The terms of a regressor chain's motion replace
-                them.
+            params: (1, 6) parameters of the motion's single coupling term: angle of the side on
+                which the motion passes [rad]; position of the term's center along the line of
+                length L from start to goal, and offset of the center toward this side, both over L;
+                logarithms of the decay kappa L^2, the angular width psi [rad] and the strength
+                alpha. They have no effect on a motion with the regressor chain's terms.
             length: length of the tool's path from its current position to the goal, which
                 determines the temporal scaling [m].
         """
@@ -567,8 +574,8 @@ class MotionSearch:
     def _goal_note(self, inputs: PlanningInputs) -> str:
         """Returns a note that names the obstacle which the arm would touch at the goal.
 
-        The note is the reason for holding the motion. It is empty if any configuration at the goal
-        is collision-free, or if the goal is not reachable.
+        The note is the reason for holding the motion (stopping it on its path). It is empty if at
+        least one configuration at the goal is collision-free, or if the arm cannot reach the goal.
         """
         at_goal = inverse_kinematics(self._chain, *self._goal(inputs), seeds=_GOAL_SEEDS)
         d = [self._distances(inputs, q[None]) for q in at_goal]
@@ -704,8 +711,8 @@ class MotionSearch:
     def _is_contact(self, d: FloatArray) -> bool:
         """Checks whether any distance of a body of the arm to a collision geometry means contact.
 
-        A body is in contact at a distance of at most 1 mm, minus the distance by which its covering
-        spheres extend beyond the exact shapes.
+        The distances are those of the spheres that cover a body. The limit for contact is 1 mm,
+        lowered by the distance by which these spheres extend beyond the body's exact shapes.
 
         Args:
             d: (G, K) distances of G groups of covering spheres (one per body) to K geometries [m].
@@ -765,13 +772,14 @@ def _chain_command(coupling: CouplingParameters, route: Route, scene: Scene) -> 
 
 
 _LN_ALPHA_OFFSETS = np.array([-3.0, -2.0, -1.0, 0.0])
-"""Offsets added to the logarithm of the strength alpha of a regressor chain's coupling term [-].
+"""Offsets of ln alpha with which the search varies a coupling term of the regressor chain [-].
 
-Each offset gives one first candidate of the search for each obstacle's term."""
+alpha is the strength of the term. Each offset gives, for the term of each obstacle, one seed of the
+search: a candidate motion with this term alone."""
 
 
 def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
-    """Returns first candidates of the search: each coupling term alone, with several strengths.
+    """Returns seeds of the search: each coupling term of the chain alone, with several strengths.
 
     A coupling term is a turning rate that steers the motion away from an obstacle.
 
@@ -780,9 +788,10 @@ def _seeds(scene: Scene, chain: MotionCommand) -> FloatArray:
         chain: motion with the regressor chain's coupling terms for all obstacles together.
 
     Returns:
-        (n, 6) parameters of first candidates: angle of the side [rad]; position of the term's
-        center along and beside the line from start to goal, over its length L; ln kappa L^2;
-        ln psi; ln alpha.
+        (n, 6) parameters of the seeds: angle of the side on which the motion passes [rad]; position
+        of the term's center along the line of length L from start to goal, and offset of the center
+        toward this side, both over L; logarithms of the decay kappa L^2, the angular width psi
+        [rad] and the strength alpha.
     """
     is_active = chain.rows.alpha > 0.0
     normal_W, center_W = chain.route.normal_W[is_active], chain.rows.center_W[is_active]
@@ -800,11 +809,11 @@ def _sides_of_term(route: Route, terms: FloatArray, angle: float) -> Route:
     Args:
         route: sides selected by cost rings, and their costs.
         terms: (1, 12) coupling term of the selected motion in the world frame: center (3) [m],
-            alpha in units of 1/T with the demonstrated duration T, psi [rad], kappa [1/m^2],
-            guidance heading (3), and normal of the plane of rotation (3). With alpha = 0, the
-            obstacles are passed without guidance.
-        angle: angle of the side around the line from start to goal, 0 along the local y axis and
-            pi/2 along z [rad].
+            strength alpha in units of 1/T with the demonstrated duration T, angular width psi
+            [rad], decay kappa [1/m^2], guidance heading (3), and normal of the plane of rotation
+            (3). With alpha = 0, the obstacles are passed without guidance.
+        angle: direction of the side as an angle around the line from start to goal, 0 along the y
+            axis and pi/2 along the z axis of the local frame (x along the line, z up) [rad].
     """
     blocked = bool(np.isinf(route.side_cost).all())
     count, normal_W = len(route.angles), terms[:, NORMAL : NORMAL + 3]
@@ -829,12 +838,12 @@ class MotionCommand(Frozen):
         source: kind of the motion; -1: no motion was selected; 0: nominal (demonstrated) motion; 1:
             all coupling terms of the regressor chain; 2: motion of the evolution strategy; 3:
             imitation of a joint-space path.
-        rows: parameters and centers of the coupling terms; empty: no coupling terms.
+        rows: parameters and centers of the coupling terms, one row per term; empty: none.
         route: sides on which the obstacles are passed, to which guidance turns the heading.
         tau: temporal scaling of the demonstrated duration [-]; 0: no motion was selected.
         demonstration: motion to imitate; empty: demonstration of the task.
         restart: whether the motion restarts with this demonstration from the resting arm.
-        note: reason why the motion is held; "": the motion is not held.
+        note: reason why the motion is held (stopped on its path); "": the motion is not held.
     """
 
     source: int = -1
@@ -877,18 +886,21 @@ class MotionPrediction(Frozen):
 
     Attributes:
         motion: motion of tool and joints from the time of the decision on.
-        shortfall: clearance shortfall [m], by which the motion falls below the required clearance:
-            the requested one, or less where the current or the goal configuration is nearer to an
-            obstacle. 0: the required clearance is achieved.
+        shortfall: distance by which the motion falls below the required clearance, beyond the
+            tolerance `slack` [m]; 0: the motion achieves it. The required clearance is the
+            requested one, or less where the current or the goal configuration is nearer to an
+            obstacle.
         limiting_obstacle: label of the collision geometry that comes nearest to the arm, or "the
             arm itself" if the clearance margin (distance minus required clearance) between its
             bodies is smaller than those of tool and links.
         can_follow: whether the motion ends at the goal (up to `MAX_GOAL_ERROR`), and the arm
             follows it with at most `MAX_POSE_ERROR`, within its joint speed limits.
-        clearance_reduction: requested clearance of the tool minus the largest clearance that is
-            required of any body of the arm from any obstacle [m]; 0 without obstacles.
-        goal_note: reason for holding the motion, if every configuration at the goal is in contact
-            with collision geometry; otherwise "". Checked only after a joint-space plan has failed.
+        clearance_reduction: amount by which the required clearance is below the requested one [m]:
+            requested clearance of the tool minus the largest required clearance of any pair of body
+            and obstacle; 0 without obstacles.
+        goal_note: reason for holding the motion (stopping it on its path), if every configuration
+            at the goal is in contact with collision geometry; otherwise "". Checked only after a
+            joint-space plan has failed.
         contact: label of the collision geometry that the arm touches now; "": none.
         sides: costs of the sides on which each obstacle can be passed, and the side on which the
             motion passes; for a viewer.
@@ -915,9 +927,12 @@ class SelectedMotion(Frozen):
             selected.
         scene: collision scene of the decision.
         params: (1, 6) parameters of the motion's coupling term from the search: angle of the side
-            [rad]; position of its center along and beside the line from start to goal, over its
-            length L; ln kappa L^2; ln psi; ln alpha. (0, 6): the motion has no such term.
-        elites: (k, 6) these parameters for the best candidates, from which the next search starts.
+            on which the motion passes [rad]; position of the term's center along the line of length
+            L from start to goal, and offset of the center toward this side, both over L; logarithms
+            of the decay kappa L^2, the angular width psi [rad] and the strength alpha. (0, 6): the
+            motion has no such term.
+        elites: (k, 6) parameters, as in `params`, of the best candidates of the last search; the
+            next search starts from them.
         generations: number of generations (iterations) of the search so far.
         last_plan: time of the last joint-space plan [s].
         traveled: length of the executed part of the tool's path [m].

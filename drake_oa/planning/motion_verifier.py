@@ -68,20 +68,22 @@ class MotionVerifier(LeafSystem):
     - route (optional, input): abstract `Route`: side on which each obstacle is passed, selected by
       `CostRingSelector`. Not connected: all sides have the same cost.
     - coupling_parameters (output): abstract `CouplingParameters`: coupling terms of the selected
-      motion, if any, its temporal scaling, and a hold with a note if no candidate can be executed.
+      motion, if any, and the temporal scaling. If no candidate can be executed, the message holds
+      the motion (stops it on its path), and its note gives the reason.
     - route (output): abstract `Route`: side of each obstacle to which heading guidance turns a
-      motion of the regressor chain; empty for other motions.
+      motion with the coupling terms of the regressor chain; empty for other motions.
     - demonstration: abstract `Demonstration` that the motion imitates after a restart from rest;
       empty: demonstration of the task.
     - motion: abstract `PlannedMotion`: predicted motion of tool and joints, from the time of the
       decision on.
     - sides: abstract `Route`: costs of the sides on which each obstacle can be passed, and the
       side on which the selected motion passes; for a viewer.
-    - shortfall: (1,) clearance shortfall [m], by which the predicted motion falls below the
-      required clearance: the requested one, or less where the current or the goal configuration is
-      nearer to an obstacle. 0: the required clearance is achieved.
-    - clearance_reduction: (1,) requested clearance of the tool minus the largest clearance that is
-      required of any body of the arm from any obstacle [m]; 0 without obstacles.
+    - shortfall: (1,) distance by which the predicted motion falls below the required clearance,
+      beyond a tolerance [m]; 0: the motion achieves it. The required clearance is the requested
+      one, or less where the current or the goal configuration is nearer to an obstacle.
+    - clearance_reduction: (1,) amount by which the required clearance is below the requested one
+      [m]: requested clearance of the tool minus the largest required clearance of any pair of body
+      and obstacle; 0 without obstacles.
     - decision: (2,) start time and compute latency of the last decision [s].
     - source: (1,) kind of the motion; -1: no motion was selected. 0: nominal (demonstrated) motion;
       1: all coupling terms of the regressor chain together; 2: motion of the evolution strategy; 3:
@@ -92,9 +94,9 @@ class MotionVerifier(LeafSystem):
     observation of the same instant. With simulated compute latency, a decision becomes active at
     the first `step` of the movement primitive after its completion; meanwhile no other decision
     starts. A completed decision is discarded if start or goal have changed, or if it restarts the
-    motion from rest while the movement primitive moves. It is also discarded if its motion no
-    longer achieves the predicted clearance from the current state, while the active motion still
-    does.
+    motion from rest while the movement primitive moves. It is also discarded if, from the current
+    state, its motion no longer achieves its predicted clearance, but the active motion still
+    achieves its own.
     """
 
     def __init__(
@@ -212,11 +214,13 @@ class MotionVerifier(LeafSystem):
     def _is_outdated(
         self, result: SelectedMotion, active: SelectedMotion, context: Context
     ) -> bool:
-        """Checks whether a completed decision is no longer valid while the active decision is.
+        """Checks whether a completed decision is worse than the active one at the current state.
 
-        A motion is valid if it still achieves its predicted clearance from the current state. The
+        A decision is valid if its motion still achieves its predicted clearance from the current
+        state. The result is True if the completed decision is not valid, but the active one is. The
         result is False without this check if the active motion is held or has a shortfall, if the
-        completed decision restarts the motion from rest, or if the collision scenes differ.
+        completed decision restarts the motion from rest, or if the two decisions have different
+        collision scenes.
 
         Args:
             result: completed decision.
@@ -232,7 +236,9 @@ class MotionVerifier(LeafSystem):
 
 
 def _log_change(previous: SelectedMotion, current: SelectedMotion, time: float) -> None:
-    """Logs contact, clearance shortfall and restart of a motion, unless the previous one had them.
+    """Logs when a contact, a clearance shortfall or a restart of the motion begins.
+
+    The shortfall of a held motion is not logged.
 
     Args:
         previous: motion that was executed before.

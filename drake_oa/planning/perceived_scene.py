@@ -50,22 +50,25 @@ _logger = logging.getLogger("drake_oa")
 _MAX_MOVING_DEPTH = 0.15
 """Maximum assumed depth of obstacles along the view, for filling their occluded side [m].
 
-It applies to obstacles that move or have moved. For others, the maximum is the visible depth, but
-at least 0.08 m (`DEEPEST`) and at most this value."""
+It applies to obstacles that move or have moved. For others, the maximum is the visible depth (the
+horizontal extent of the observed points along the view), limited to the range from 0.08 m
+(`DEEPEST`) to this value."""
 _MAX_MISSING_FRACTION = 0.05
-"""Maximum fraction of missing points for which an obstacle's distance field is reused [-].
+"""Maximum fraction of a distance field that may contradict a new observation if it is reused [-].
 
-The fraction applies separately to the points of the field, of which those without a new point
-nearby are missing, and to its inner nodes, of which those observed as free are missing."""
+It limits two fractions separately: that of the field's points without a newly observed point
+nearby, and that of the field's inner nodes that an image observes as free."""
 _MAX_CHECKED_POINTS = 500
 """Approximate maximum number of a distance field's points that are compared with a new cloud."""
 _MAX_VIEW_CHANGE = 0.1
 """Maximum change of a component of the unit vector from camera to obstacle for which the distance
 field of the obstacle is reused."""
 _DEPTH_MARGIN = 0.01
-"""Minimum distance from a point to the surface behind it, for an image to show it free [m]."""
+"""Distance by which a free point must lie in front of the surface that an image measures [m]."""
 _MAX_INSIDE_NODES = 400
-"""Approximate maximum number of nodes inside a distance field that are checked for free space."""
+"""Approximate maximum number of a distance field's inner nodes that are compared with images.
+
+An inner node that an image observes as free contradicts the field."""
 _MAX_MAGNITUDE = 1e3
 """Magnitude of a coordinate [m] or a velocity component [m/s] above which an observation is
 ignored."""
@@ -83,13 +86,15 @@ class PerceivedField(Frozen):
     Attributes:
         geometry: collision geometry of the field, with its current pose and velocity.
         grid: signed distances to the obstacle's cloud at the nodes of a grid.
-        points: (N, 3) observed points in the world frame [m].
+        points: (N, 3) observed points from which the field was computed, in the world frame [m].
         view_W: (n, 3) unit directions from each camera to the obstacle in the world frame.
         max_depth: maximum assumed depth of the obstacle along the view, for filling its occluded
-            side [m]; a larger visible depth, up to 0.15 m (`_MAX_MOVING_DEPTH`), replaces it.
-        inside: (K, 3) sampled nodes, more than a voxel below the field's surface, that no image
-            observed as free, in the frame O of the grid (axes of the world, origin at the first
-            node) [m]; (0, 3) with one camera.
+            side [m]. If the observed points extend farther along the view, their extent, up to
+            0.15 m (`_MAX_MOVING_DEPTH`), is used instead.
+        inside: (K, 3) sample of the grid nodes inside the obstacle, used to detect space that has
+            become free [m]. They are more than a voxel (cell of the grid) below the surface, and no
+            image observed them as free when the field was computed. Positions are in the frame O of
+            the grid (axes of the world, origin at the first node). (0, 3) with one camera.
     """
 
     geometry: CollisionGeometry
@@ -195,8 +200,9 @@ def _create_field(
         name: track ID of the obstacle.
         cloud: (N, 3) observed points in the world frame [m].
         viewpoints_W: (n, 3) positions of the cameras in the world frame [m].
-        max_depth: maximum assumed depth of the obstacle along the view [m]; a larger visible depth,
-            up to 0.15 m (`_MAX_MOVING_DEPTH`), replaces it.
+        max_depth: maximum assumed depth of the obstacle along the view [m]. If the observed points
+            extend farther along the view, their extent, up to 0.15 m (`_MAX_MOVING_DEPTH`), is used
+            instead.
         table: support plane, below which nothing is filled; None: no plane.
         views: depth images of several cameras; space that any image observes as free is not filled.
     """
@@ -264,10 +270,10 @@ def _reuse_field(
 ) -> PerceivedField | None:
     """Moves a distance field to its obstacle's expected position, if it explains the new cloud.
 
-    It explains the cloud if no component of a unit view direction has changed by more than 0.1
-    (`_MAX_VIEW_CHANGE`); if no new point is outside the moved field by more than a voxel; if at
-    most 5 % of the field's points have no new point within 1.5 voxels; and if at most 5 % of its
-    inner nodes are observed as free.
+    The field explains the cloud if no component of a unit view direction has changed by more than
+    0.1 (`_MAX_VIEW_CHANGE`); if no new point is outside the moved field by more than a voxel (cell
+    of the grid); if at most 5 % of the field's points have no new point within 1.5 voxels; and if
+    at most 5 % of the field's inner nodes are observed as free.
 
     Args:
         previous: distance field at the previous observation.
@@ -324,20 +330,21 @@ class PerceivedScene(LeafSystem):
       - collision_scene_W
 
     With several cameras, the pose of each camera has its own input port, named by the argument
-    `cameras`. There is then a further input port `free_space_W` (optional), abstract `FreeSpace`,
-    with the depth images of the observation. Space that any of these images observes as free is not
-    filled. Images of another time than that of the observation are ignored.
+    `cameras`. A further input port, `free_space_W` (optional), abstract `FreeSpace`, then contains
+    the depth images of the observation. Space that any of these images observes as free is not
+    filled. Images with another stamp than the observation are ignored.
 
     - obstacles_W: abstract `ObstacleClouds`: point clouds, track IDs and velocities of the
       perceived obstacles, and the support plane if it was detected.
     - camera_pose (optional): RigidTransform X_WC of the camera. Not connected: the occluded part
       of obstacles is not filled.
     - collision_scene_W: abstract `CollisionScene`: one distance field per obstacle, with its
-      velocity, and the half space below the table, if the input or the constructor contains one.
+      velocity, and the half-space below the support plane, if the input or the constructor
+      contains one.
       Space that an obstacle occludes from a camera is filled up to an assumed depth, unless an
       image observes it as free (`drake_oa.geometry.distance_field.field_of`). Obstacles truncated
-      by the upper or lower border of an image, or by its minimum depth, are extended upright by up
-      to their visible length (`drake_oa.perception.visibility.with_occluded_extents`).
+      by the upper or lower border of an image, or by its minimum depth, are extended vertically by
+      up to their visible height (`drake_oa.perception.visibility.with_occluded_extents`).
 
     The state is updated every `period`, after the observation of the same instant and before the
     decision that uses the output. An observation with NaN, infinite or too large values (above

@@ -24,8 +24,9 @@ _COLLISION_PENALTY = 50.0
 class PointSearch(Search):
     """Evolution strategy that searches for the motion of a point among ellipsoids.
 
-    The required clearance from an ellipsoid is the requested clearance or, if smaller, its distance
-    from the current position now, or from the goal at the time of arrival.
+    The required clearance from an ellipsoid is the smallest of three values: the requested
+    clearance; the distance of the ellipsoid from the current position of the point; and the
+    distance of the ellipsoid from the goal at the time of arrival.
     """
 
     def __init__(self, scene: Scene, **more: Any) -> None:

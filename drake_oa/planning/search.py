@@ -2,9 +2,10 @@
 
 A candidate motion has one avoidance term, (8) of Pairet et al., RA-L 2019: a turning rate that
 steers the motion away from a point, with strength alpha, angular width psi, and decay kappa with
-the squared distance. The point lies in the plane of the baseline (line of length L from start to
-goal) and of a side direction omega, orthogonal to the baseline, toward which the motion turns. The
-parameters `params` (6,) of a candidate, here and in all modules that use this search, are::
+the squared distance. The baseline is the line of length L from start to goal. The motion passes on
+one side of it: the direction omega, orthogonal to the baseline, toward which the motion turns. The
+point lies in the plane of baseline and omega. The parameters `params` (6,) of a candidate, here and
+in all modules that use this search, are::
 
     angle of omega in the YZ plane of the local frame (x along the baseline, z up),
     position of the point along the baseline / L,
@@ -12,22 +13,28 @@ parameters `params` (6,) of a candidate, here and in all modules that use this s
 
 Every candidate is rolled out (simulated) by the kernel of the integrator
 (`drake_oa.policy.rollout`), and then evaluated for the whole arm (`ArmSearch`) or for a point
-(`drake_oa.planning.point_search`). The cost to be minimized is
+(`drake_oa.planning.point_search`). The cost J to be minimized is the path length l over L, plus
+costs of lateness and side, plus penalties for errors. [x > 0] is 1 if x > 0, else 0::
 
     J = l / L + w_late max(s_end - 1, 0) + c_side
         + [e > 0] (w_inf + w_miss + w_goal e / L)
         + [sigma + eps + r > 0] (w_inf + w_clear (sigma + eps) / L + r)
 
-with path length l, normalized time of arrival s_end (1 at the end of the demonstrated duration),
-cost c_side of the side by user-supplied cost rings, goal error e, clearance shortfall sigma, pose
-error eps, and excess r of the joint speed over its limit. Of each error, only the part beyond its
-tolerance counts. A candidate with J < w_inf is feasible. The evolution strategy is::
+s_end is the normalized time of arrival (1 at the end of the demonstrated duration), c_side the cost
+that user-supplied cost rings give to the side, e the goal error, sigma the clearance shortfall, eps
+the pose error, and r the excess of the joint speed over its limit. Of each error, only the part
+beyond the tolerance counts. The weights and penalties w are constants of this module. A candidate
+with J < w_inf is feasible.
+
+N(0, I) is a random vector, scale a random factor of at most 1, and `candidates` the number of
+candidates of a generation (iteration). The evolution strategy is::
 
     ranking = best 8 of the seeds and a moderate term on each of 16 sides
     for each generation, at most refinement_generations after the first feasible candidate:
         line    = best candidate with smaller ln alpha if it is feasible, else with larger ln alpha
         mutants = ranking + STEP_SIZES * scale * N(0, I) + {0, 1/2} * difference of two of ranking
-        if none is feasible, from generation 6 on: a quarter of the mutants is uniform in the bounds
+        if none is feasible, from generation 6 on: candidates / 4 of the mutants are replaced by
+                  uniformly random ones within the bounds
         ranking = best 8 of ranking, line and mutants
 
 The random numbers of a generation are the same for every scene and call, so that the result for a
@@ -75,37 +82,45 @@ N_PARAMS = 6
 """Number of parameters of a candidate motion of the search."""
 ANGLE, ALONG, LATERAL, KAPPA, PSI, ALPHA = range(N_PARAMS)
 LOWER = np.array([-np.inf, 0.01, -0.3, math.log(0.1), math.log(0.15), math.log(0.1)])
-"""(6,) lower bounds of a candidate's parameters: angle [rad] of the side, then dimensionless ones.
+"""(6,) lower bounds of the parameters of a candidate motion, which has one avoidance term.
 
-These are, for an avoidance term, the position of its center along and beside the baseline (line
-from start to goal), ln kappa, ln psi and ln alpha. Lengths are divided by the baseline's."""
+The parameters are the angle of the side on which the motion passes [rad]; the position of the
+term's center along the baseline (line of length L from start to goal), and the offset of the center
+toward this side, both over L; and the logarithms of the decay kappa L^2, the angular width psi
+[rad] and the strength alpha."""
 UPPER = np.array([np.inf, 0.99, 0.0, math.log(3e3), math.log(5.0), 30.0])
-"""(6,) upper bounds of a candidate's parameters: angle [rad] of the side, then dimensionless ones.
+"""(6,) upper bounds of the parameters of a candidate motion, which has one avoidance term.
 
-These are, for an avoidance term, the position of its center along and beside the baseline (line
-from start to goal), ln kappa, ln psi and ln alpha. Lengths are divided by the baseline's."""
+The parameters are the angle of the side on which the motion passes [rad]; the position of the
+term's center along the baseline (line of length L from start to goal), and the offset of the center
+toward this side, both over L; and the logarithms of the decay kappa L^2, the angular width psi
+[rad] and the strength alpha."""
 STEP_SIZES = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8])
-"""(6,) standard deviations of the largest random variation (mutation) of a candidate's parameters.
+"""(6,) largest standard deviations with which a candidate's parameters vary at random (mutation).
 
-The parameters of its avoidance term are the angle [rad] of the side; the position of its center
-along and beside the baseline (line from start to goal), divided by the baseline's length; ln kappa,
-ln psi and ln alpha."""
+The parameters are the angle of the side on which the motion passes [rad]; the position of the
+avoidance term's center along the baseline (line of length L from start to goal), and the offset of
+the center toward this side, both over L; and the logarithms of the decay kappa L^2, the angular
+width psi [rad] and the strength alpha."""
 N_ELITES = 8
 """Number of best candidate motions that the evolution strategy varies in the next generation."""
 INITIAL_SPACING = 0.6
-"""Range of ln alpha over which the first generation varies the best candidate's strength alone [-].
+"""Range of ln alpha over which the search varies the best candidate in the first generation [-].
 
-These variations have the best candidate's other parameters; the remaining candidates of a
-generation (iteration) vary in all parameters."""
+alpha is the strength of the candidate's avoidance term. A part of each generation (iteration)
+differs from the best candidate in alpha only; the other candidates vary in all parameters."""
 _SPACING_RATIO = 0.4
-"""Ratio of the ranges of ln alpha in two successive generations of the search [-].
+"""Factor by which the range of ln alpha shrinks from one generation of the search to the next [-].
 
-Over this range, a generation varies the strength alpha of the best candidate alone."""
+Over this range, a part of the generation varies the best candidate's strength alpha, without
+variation of the other parameters."""
 _MIN_SPACING = 0.02
-"""Minimum range of ln alpha over which a generation varies the best candidate's strength alone [-].
-"""
+"""Minimum of the range of ln alpha, which shrinks with each generation of the search [-].
+
+Over this range, a part of the generation varies the best candidate's strength alpha, without
+variation of the other parameters."""
 NO_SIDE_COST = np.zeros(1)
-"""(1,) additional cost 0 of passing obstacles, the same on all sides around the baseline [-]."""
+"""(1,) side cost of a search that prefers no side of the obstacles: 0 in every direction [-]."""
 SAMPLES = 64
 """Number of samples of a whole-arm roll-out (simulation) over the normalized times 0 to 1.
 
@@ -113,10 +128,13 @@ On a path of 1 m, consecutive positions of the tool are at most 3 cm apart."""
 ABORT_SHORTFALL = 0.06
 """Clearance shortfall beyond which the whole-arm roll-out of a candidate motion is aborted [m].
 
-It applies while an infeasible candidate can still be among the best ones (`max_cost` is at least
-`INFEASIBLE_PENALTY`). Afterwards any shortfall beyond the tolerance `slack` aborts a roll-out."""
+It applies while infeasible candidates are still of use, because there are not enough feasible ones
+(`max_cost` is at least `INFEASIBLE_PENALTY`). Otherwise any shortfall beyond the tolerance `slack`
+aborts a roll-out."""
 _CYCLE_LENGTH = 24
-"""Number of generations after which the search repeats its random numbers and `ln alpha` ranges."""
+"""Number of generations (iterations) after which the search uses the same random numbers again.
+
+The range of ln alpha, which shrinks with each generation, also starts again from its maximum."""
 _LATENCY_MODEL = LatencyModel()
 """Model of the compute latency by which a search decides whether another generation may start.
 
@@ -180,9 +198,10 @@ def avoidance_terms(scene: Scene, params: FloatArray) -> FloatArray:
 
     Args:
         scene: start, goal and local frame of the motions.
-        params: (N, 6) candidate parameters: angle of the side [rad]; position of the point along
-            and beside the baseline (line from start to goal), over its length L; ln kappa L^2;
-            ln psi; ln alpha.
+        params: (N, 6) candidate parameters: angle of the side on which the motion passes [rad];
+            position of the point along the baseline (line of length L from start to goal), and
+            offset of the point toward this side, both over L; logarithms of the decay kappa L^2,
+            the angular width psi [rad] and the strength alpha.
 
     Returns:
         (N, 12) coupling terms in the world frame: point (3) [m], alpha in units of 1/T with the
@@ -208,9 +227,11 @@ def params_of(
 ) -> FloatArray:
     """Converts coupling terms to candidate parameters (N, 6), the inverse of `avoidance_terms`.
 
-    A coupling term is a turning rate that steers the motion away from a point. Its candidate
-    parameters are the angle of the side [rad]; the position of the point along and beside the
-    baseline (line from start to goal), over its length L; ln kappa L^2; ln psi; ln alpha.
+    A coupling term is a turning rate that steers the motion away from a point. The candidate
+    parameters are the angle of the side on which the motion passes [rad]; the position of the point
+    along the baseline (line of length L from start to goal), and the offset of the point toward
+    this side, both over L; and the logarithms of the decay kappa L^2, the angular width psi and the
+    strength alpha.
 
     Args:
         scene: start, goal and local frame of the motion.
@@ -254,8 +275,9 @@ def strengths(params: FloatArray, is_feasible: bool, spacing: float, count: int)
         params: (6,) parameters of the candidate, of which the last is ln alpha.
         is_feasible: whether the candidate is feasible (achieves the clearance, arrives, and the arm
             can follow it).
-        spacing: range of ln alpha [-]: the decreases for a feasible candidate are below it, and the
-            increases for an infeasible one below 2.5 times this range.
+        spacing: range of ln alpha over which the variations are spread [-]. A feasible candidate is
+            varied downward by less than this range, an infeasible one upward by less than 2.5 times
+            this range.
         count: number of variations.
 
     Returns:
@@ -268,12 +290,16 @@ def strengths(params: FloatArray, is_feasible: bool, spacing: float, count: int)
 
 
 class Ranking(NamedTuple):
-    """Evaluated candidate motions, sorted by ascending cost except directly after evaluation.
+    """Evaluated candidate motions with their costs.
+
+    The result of `merge` is sorted by ascending cost; that of `Search.evaluate` is not.
 
     Attributes:
-        params: (n, 6) candidate parameters: angle of the side [rad]; position of the term's center
-            along and beside the line from start to goal, over its length L; ln kappa L^2; ln psi;
-            ln alpha. The motion of the regressor chain (source 1) has `NOMINAL_PARAMS` instead.
+        params: (n, 6) candidate parameters: angle of the side on which the motion passes [rad];
+            position of the avoidance term's center along the line of length L from start to goal,
+            and offset of the center toward this side, both over L; logarithms of the decay
+            kappa L^2, the angular width psi [rad] and the strength alpha. The motion with the
+            regressor chain's terms (source 1) has `NOMINAL_PARAMS` instead.
         cost: (n,) costs J [-]: path length over the distance from start to goal, plus penalties; 10
             (`INFEASIBLE_PENALTY`) or more for an infeasible candidate.
         length: (n,) lengths of the tool's paths [m].
@@ -302,9 +328,10 @@ class Search(ABC):
     """Evolution strategy that searches for the best motion from one state; base class.
 
     A subclass defines the obstacles, by the method that computes the cost of clearance shortfalls.
-    The six parameters of a candidate are the angle of the side on which it passes [rad]; the
-    position of its coupling term's center along and beside the line from start to goal, over its
-    length L; ln kappa L^2; ln psi; and ln alpha.
+    The six parameters of a candidate are the angle of the side on which the motion passes [rad];
+    the position of the coupling term's center along the line of length L from start to goal, and
+    the offset of the center toward this side, both over L; and the logarithms of the decay
+    kappa L^2, the angular width psi [rad] and the strength alpha.
 
     Attributes:
         counts: (4,) numbers of rolled-out candidates of each kind: nominal motion, coupling terms
@@ -376,8 +403,8 @@ class Search(ABC):
     ) -> Ranking:
         """Searches for the candidate motion of least cost.
 
-        If the nominal motion is feasible, or else the current motion, the search returns this
-        motion without evaluating other candidates.
+        The nominal motion is evaluated first and, if it is infeasible, the current motion. If one
+        of them is feasible, the search returns it without evaluating other candidates.
 
         Args:
             guides: obstacles with the coupling terms of the regressor chain, which are evaluated
@@ -762,9 +789,9 @@ def _roll_some(
             roll-out is aborted [m].
         out: (N, 6) results, set in place: clearance margins of tool, links and self-distance [m],
             largest absolute element of the tool's position error [m] and rotation error [rad],
-            maximum ratio of a joint's speed to its limit,
-            and number of checked samples, fewer than T if the roll-out is aborted or the tool's
-            path, whose later samples are NaN, has arrived.
+            maximum ratio of a joint's speed to its limit, and number of checked samples. That
+            number is below T if the roll-out is aborted, or if the tool's path ends earlier (its
+            later samples are NaN).
         Q: (N, T, n) configurations, set in place [rad].
     """
     T, n = Q.shape[1:]
