@@ -37,10 +37,10 @@ class NominalPostureSource(LeafSystem):
       for `MotionGuard` or `CartesianInverseDynamics`.
 
     The posture is that of the planned motion at the normalized time of the movement primitive. The
-    posture is at rest while the motion is held (stopped on its path). It is also at rest after a
-    restart of the motion from another start, until the input contains a plan for the new motion.
-    The transition to a new plan is continuous (`drake_oa.posture.posture_trajectory`). The abstract
-    state is the current `PostureTrajectory`.
+    posture is at rest while the motion is held (stopped on its path). The posture is also at rest
+    after a restart of the motion from another start, until the input contains a plan for the new
+    motion. The transition to a new plan is continuous (`drake_oa.posture.posture_trajectory`). The
+    abstract state is the current `PostureTrajectory`.
     """
 
     def __init__(self, q_rest: FloatArray, alpha_k: float, *, period: float = 0.008) -> None:
@@ -76,15 +76,16 @@ class NominalPostureSource(LeafSystem):
         return context.get_abstract_state(self._trajectory).get_value()
 
     def _now(self, context: Context, motion: PlannedMotion) -> tuple[float, float, float]:
-        """Computes the arguments of `PostureTrajectory.at`, which evaluates the trajectory, for the
-        current state of the policy.
+        """Computes the arguments of `PostureTrajectory.at`, which evaluates the trajectory at the
+        current time.
 
         Args:
             context: context of the system.
             motion: planned motion.
 
         Returns:
-            Normalized time in the planned motion, its rate [1/s], and the time of the context [s].
+            Normalized time in the planned motion, rate of normalized time [1/s] (0: the posture is
+            at rest), and time of the context [s].
         """
         policy = self._policy.read(context)
         time = context.get_time()

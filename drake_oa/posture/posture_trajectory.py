@@ -7,8 +7,8 @@ a new plan q*(t) is critically damped,
 
     q(t) = q*(t) + (e_0 + (de_0/dt + w e_0) (t - t_0)) exp(-w (t - t_0)),
 
-where e_0 is the difference of the old trajectory from q* at the time t_0 of the change, and w a
-constant rate.
+where t_0 is the time of the change, e_0 the old trajectory minus q* at this time, and w a constant
+rate.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion
 
 TAKE_OVER = 4.0
-"""Rate w at which the trajectory of the nominal posture converges to a new plan [1/s]."""
+"""Rate w with which the nominal posture approaches the plan after a change of plans [1/s]."""
 
 
 @dataclass(frozen=True, eq=False)
