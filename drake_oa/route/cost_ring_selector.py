@@ -65,16 +65,16 @@ class CostRingSelector(LeafSystem):
       motion past it; the cost rings; and the costs of the sides by user-supplied rings. Empty
       before the first motion. The output changes with decisions, not with each step of the movement
       primitive; `DmpIntegrator` computes the guidance headings.
-    - decision: abstract `Route`, equal to `route`: a second port, so that a diagram can give the
-      selection of the policy and that of a viewer different signal names.
+    - decision: abstract `Route`, equal to `route`. A diagram can connect one of these ports to the
+      policy and the other to a viewer, under different signal names.
 
     The sides of all obstacles are selected together (`drake_oa.route.cost_rings`). If all
     directions of an obstacle are forbidden, `Route.blocked` is set, and `Route.note` names the
     obstacle. The movement primitive then holds the motion until a direction is allowed.
 
-    `Route.side_cost` is the cost of passing all obstacles on the same side. It is `ring_weight`
-    times the sum of the maxima of each user-supplied ring over the obstacles, and infinite if any
-    maximum is 1.
+    `Route.side_cost` contains, for each side, the cost of passing all obstacles on this side. For
+    each user-supplied ring, the largest cost of the side among the obstacles counts. The side cost
+    is `ring_weight` times the sum of these largest costs, and infinite if one of them is 1.
 
     The sides are selected at initialization, once per `period`, and at once if the set of obstacles
     changes; hysteresis prevents frequent changes. The periodic update has a small offset, so that
@@ -201,8 +201,8 @@ class CostRingSelector(LeafSystem):
     def _current(self, context: Context) -> Route:
         """Returns the route of the last decision, or a new one if the set of obstacles has changed.
 
-        A route is the selected side of each obstacle. Before the first decision with distinct start
-        and goal, it is computed for the current ones, or empty if they coincide.
+        A route contains the selected side of each obstacle. Before the first decision, the route is
+        computed for the current start and goal, or is empty if start and goal coincide.
         """
         ellipsoids = self._ellipsoids.read(context)
         decided: Route = context.get_abstract_state(self._decided).get_value()

@@ -7,22 +7,24 @@ up). The direction with the minimum total cost is selected, by (12) of Pairet et
     min_omega  eta_table(omega) + eta_length(omega) + eta_limits(omega)
 
 eta_table is 1 for directions that lead too close to the table, and eta_length grows with the length
-of the detour. eta_limits is the sum of two rings, which are not both 1 for any direction. One
-forbids paths that the arm cannot reach, the other paths close to a joint limit, both by inverse
-kinematics along the path. A ring is a function that maps a `RingScene` to an (M, K) array of costs
+of the detour. eta_limits is the sum of two rings, both computed by inverse kinematics along the
+path. One is 1 for paths that the arm cannot reach, the other for reachable paths close to a joint
+limit. A ring is a function that maps a `RingScene` to an (M, K) array of costs
 in [0, 1]; `select_directions` also adds user-supplied rings to the sum.
 
 With several obstacles along the baseline (the line from start to goal) the best side of one depends
 on that of the next: the leg (straight segment) between their passing points has a length and may
 intersect a third obstacle. A passing point is beside an obstacle, in the direction of the side and
 with the requested clearance (`ring_scene`). Obstacles without a passage between them form a group
-(`overlap_groups`). With N groups in their order along the baseline, and the direction omega_i of
-group i, the selection minimizes
+(`overlap_groups`). The selection minimizes the sum of three terms: the costs by the rings, the
+scaled excess length of the path, and the obstruction of the legs. With N groups in their order
+along the baseline, and the direction omega_i of group i, this sum is
 
     sum_i eta_i(omega_i) + N (l(omega_1, ..., omega_N) - l_min) / max(l_max - l_min, 0.1 N L)
           + 2 sum over the legs of their obstruction.
 
-eta_i is the sum of the rings of group i except the length ring. l is the length of the path from
+eta_i is the sum of the rings of group i except the length ring, as a mean over the obstacles of the
+group. l is the length of the path from
 start via the passing points to the goal. l_min and l_max are its minimum and maximum over all
 combinations of directions, and L is the length of the baseline. The obstruction of a leg, from 0
 (free) to 1 (intersects an obstacle), is computed by `obstruction`. With one obstacle no leg is
@@ -49,11 +51,12 @@ JOINT_MARGIN = 0.1
 _HYSTERESIS = 0.2
 """Minimum reduction of the total cost for which the passing side of obstacles changes [-]."""
 LEAST_SPREAD = 0.1
-"""Minimum divisor of the costs of path lengths, over the distance from start to goal [-].
+"""Length difference by which costs of path lengths are at least divided, over the baseline [-].
 
-The cost of a path past an obstacle is its excess over the shortest path, divided by the difference
-of the longest and the shortest path, or by this minimum. If the difference is smaller than the
-minimum, all costs are below 1."""
+The baseline is the distance from start to goal. The cost of a path past an obstacle is the excess
+of its length over the shortest path, divided by the difference between the longest and the shortest
+path. If this difference is smaller than the constant times the baseline, the latter is the divisor,
+so that all costs are below 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +105,9 @@ JointMargins = Callable[[FloatArray], FloatArray]
 
 A joint margin is the minimum distance of the joints from their limits. The argument contains P
 corners of each path in the world frame, (N, P, 3) [m]. The result (N, P) [rad] contains for each
-corner the joint margin on the leg (straight segment) to this corner, and for the first corner the
-joint margin there. It is -inf from the first corner on that the arm cannot reach."""
+corner the joint margin on the leg (straight segment) that ends at this corner, and for the first
+corner the joint margin at this point. If the arm cannot reach a corner, the results for this corner
+and all following corners of the path are -inf."""
 
 
 def ring_scene(
@@ -119,14 +123,16 @@ def ring_scene(
 ) -> RingScene:
     """Computes the input of the cost rings: directions, passing points and joint margins.
 
-    A joint margin is the minimum distance of the joints from their limits on a path. The passing
-    point of obstacle i along the direction omega is
+    A joint margin is the minimum distance of the joints from their limits on a path. A passing
+    point is a point beside an obstacle, displaced from the baseline (line from start to goal) along
+    a direction omega until it has the clearance Delta from the obstacle. Let c_i be the center of
+    ellipsoid i, h_i its support function about c_i, and b the point of the baseline nearest to c_i.
+    The passing point is
 
-        p_P = b + omega max(0, h_i(omega) + Delta - omega . (b - c_i)),
+        p_P = b + omega max(0, h_i(omega) + Delta - omega . (b - c_i)).
 
-    with the center c_i of the ellipsoid, the point b of the baseline (line from start to goal)
-    nearest to c_i, and the support function h_i of the ellipsoid about c_i. The plane through p_P
-    with normal omega thus has the distance Delta from the obstacle, or more if the maximum is 0.
+    The plane through p_P with normal omega thus has the distance Delta from the obstacle, or more
+    if the maximum is 0.
 
     Args:
         p_WS: (3,) start in the world frame [m].
@@ -173,11 +179,15 @@ def ring_scene(
 def length_ring(scene: RingScene) -> FloatArray:
     """Computes the length ring: costs (M, K) of the path past M obstacles in K directions each.
 
-    The cost is (l - l_min) / max(l_max - l_min, 0.1 L). l is the length from start via the passing
-    point (beside the obstacle, with the requested clearance) to the goal, [l_min, l_max] its range
-    over the directions, and L the distance from start to goal. For an obstacle on the line from
-    start to goal, all lengths are about equal. Without the term 0.1 L, the side on which this
-    obstacle is passed would change with each millimeter of motion, in spite of the hysteresis.
+    The cost of the shortest path past an obstacle is 0, that of the longest at most 1:
+
+        (l - l_min) / max(l_max - l_min, 0.1 L)
+
+    l is the length of the path from the start via the passing point (beside the obstacle, with the
+    requested clearance) to the goal. l_min and l_max are the smallest and the largest l over the
+    directions, and L is the distance from start to goal. For an obstacle on the line from start to
+    goal, all lengths are about equal. Without the term 0.1 L, the side on which this obstacle is
+    passed would change with each millimeter of motion, in spite of the hysteresis.
     """
     length = np.linalg.norm(scene.p_WP - scene.p_WS, axis=2)
     length = length + np.linalg.norm(scene.p_WG - scene.p_WP, axis=2)
@@ -233,9 +243,10 @@ def remaining_clearance(scene: RingScene) -> FloatArray:
     """Computes the clearances (M,) at which guidance leads the motion past M obstacles [m].
 
     Heading guidance is the coupling term that turns the motion to the selected side. Each clearance
-    is the requested one, or the distance of start or goal from the obstacle if that is smaller. It
-    is 0 (no guidance) if the baseline, the line from start to goal, already has this clearance, or
-    is nearest to the obstacle at one of its ends.
+    is the requested one, or the distance of start or goal from the obstacle if that is smaller. No
+    guidance is needed, and the result is 0, in two cases: the baseline (line from start to goal)
+    already has this clearance, or the point of the baseline nearest to the obstacle is the start or
+    the goal.
     """
     shapes = scene.ellipsoids
     share = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
@@ -419,16 +430,16 @@ def sequence_costs(
 ) -> tuple[FloatArray, FloatArray]:
     """Computes the costs of passing N groups of obstacles on K sides each, for `best_sequence`.
 
-    A leg is a straight path segment between the start, the passing points of consecutive groups,
-    and the goal. The passing point of a group, which has the requested clearance, is that of the
-    member whose passing point is farthest from the line from start to goal. The first group does
-    not obstruct the leg from the start, and the last group does not obstruct the leg to the goal,
-    because coupling terms bend the motion around them.
+    The path leads from the start via one passing point per group to the goal; a leg is a straight
+    segment between two of these points. Each obstacle of a group has a passing point with the
+    requested clearance. The group has the one that is farthest from the line from start to goal.
+    The first group does not obstruct the leg from the start, and the last group does not obstruct
+    the leg to the goal, because coupling terms bend the motion around these groups.
 
     Args:
         scene: M obstacles and K directions in which they can be passed.
         groups: row numbers of the obstacles in each group, from start to goal.
-        rings: (N, K) sums of the cost rings of each group except the length ring.
+        rings: (N, K) sums of the cost rings except the length ring, for each group and side.
         shut: (N, K) whether a cost ring forbids the direction, which then costs more than all other
             terms together.
         counts_length: whether the path length is part of the cost.
@@ -490,9 +501,10 @@ def obstruction(
 ) -> FloatArray:
     """Computes the obstruction of straight legs by ellipsoids, from 0 (free) to 1 (intersected).
 
-    A leg is a straight path segment between two points. In coordinates in which the obstacle grown
-    by the clearance is the unit ball, let g be the minimum distance of a leg from the center. The
-    obstruction is max(0, 1 - g), and 1 if the leg intersects the obstacle without growth.
+    A leg is a straight path segment between two points. Its obstruction is 1 if it intersects an
+    obstacle, and 0 if it does not intersect the obstacle grown by the clearance. In between, the
+    obstruction is 1 - g: g is the minimum distance of the leg from the obstacle's center, in
+    coordinates in which the grown obstacle is the unit ball.
 
     Args:
         p_WA: (I, 3) starts of the legs in the world frame [m].
