@@ -50,9 +50,9 @@ class Verified:
     """Maximum number of iterations of the search after the first feasible motion, within
     `generations` [-]. Raising it gives shorter motions."""
     slack: float = Field(default=5e-4, ge=0.0, le=0.1)
-    """Maximum clearance shortfall of a feasible motion, also subtracted from the distances of start
-    and goal to obstacles, which limit the required clearance [m]. Raising it accepts motions closer
-    to the obstacles."""
+    """Maximum clearance shortfall of a feasible motion [m]. If start or goal has less than the
+    requested clearance from an obstacle, the required clearance is the distance there minus this
+    value. Raising it accepts motions closer to the obstacles."""
     tolerance: float = Field(default=6e-4, ge=0.0, le=0.1)
     """Maximum distance from the goal at the end of a feasible motion [m]. Raising it accepts
     motions that end farther away."""
@@ -61,20 +61,20 @@ class Verified:
     environment [m]. It is limited to the requested clearance of the tool from obstacles. Raising it
     makes the arm pass at a larger distance."""
     ring_weight: float = Field(default=0.5, ge=0.0, le=100.0)
-    """Cost of passing obstacles on a side that a user-supplied cost ring rates just below 1, the
-    cost that forbids the side; as additional path length over the distance from start to goal [-].
-    Raising it accepts longer detours to avoid such sides."""
+    """Additional cost of a side of the obstacles to which a user-supplied cost ring gives a value
+    just below 1, as path length over the distance from start to goal [-]. The value 1 forbids a
+    side. Raising it accepts longer detours to avoid such sides."""
     compute_budget: float = Field(default=0.028, ge=0.0, le=100.0)
-    """Maximum compute latency of one search after the motion has begun [s], estimated from the
-    counted work by the model of `drake_oa.common.latency`; the next search continues from the best
-    candidates. Raising it gives later and better decisions; keep it below the frame period of the
-    camera."""
+    """Maximum compute latency of a search during the motion [s]; a search at the start of a motion
+    has no such limit. The latency is estimated from the counted work by the model of
+    `drake_oa.common.latency`, and the next search continues from the best candidates. Raising it
+    gives later and better decisions; keep it below the frame period of the camera."""
     configurations: int = Field(default=20_000, ge=0, le=10_000_000)
     """Maximum number of configurations of the arm that one run of the joint-space planner checks
     [-]. If the search finds no feasible motion, the planner runs at decreasing fractions of the
     requested clearance. Raising the number finds more paths and requires more time."""
     last_configurations: int = Field(default=200_000, ge=0, le=10_000_000)
-    """Maximum number of configurations of the arm that one run of the joint-space planner checks,
-    after all runs limited by `configurations` have found no path that the arm can execute; the
-    requested clearance is then multiplied by 0.2 [-]. Raising it finds more paths and requires more
-    time."""
+    """Maximum number of configurations of the arm that a last run of the joint-space planner checks
+    [-]. It follows if all runs limited by `configurations` have found no path that the arm can
+    execute, and requires 0.2 times the requested clearance. Raising the number finds more paths and
+    requires more time."""

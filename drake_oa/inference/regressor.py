@@ -6,12 +6,13 @@ Three small networks are evaluated in sequence (section IV-C of Pairet et al., R
     Y2: (h, kappa)      -> psi
     Y3: (h, kappa, psi) -> alpha
 
-The input is h = (lambda1', lambda2', Delta), with the half-extents lambda' of the obstacle's
-section by the plane of motion, and the requested clearance Delta. This plane is spanned by the
-velocity and the direction from the tool point to the obstacle's center. A chain of two inputs omits
-Delta. The outputs are the parameters of the turning rate
-alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2). theta is the angle between heading and
-direction to the obstacle's center, and d the distance of the tool point from this center.
+The plane of motion is spanned by the velocity of the tool point and the direction from the tool
+point to the obstacle's center. The input is h = (lambda1', lambda2', Delta): lambda1' and lambda2'
+are the half-extents of the obstacle's section by this plane, along and across the line from start
+to goal, and Delta is the requested clearance. A chain of two inputs omits Delta. The outputs are
+the parameters of the turning rate alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2). theta is
+the angle between the heading and the direction to the obstacle's center, and d the distance of the
+tool point from this center.
 
 The coupling term is scale invariant: with lengths divided by the baseline L (distance from start to
 goal), h/L -> (kappa L^2, psi, alpha) is one map for every L. The unit of alpha is 1/T, with the
@@ -158,8 +159,8 @@ class ChainWeights(Frozen):
     ) -> CouplingParameters:
         """Computes the coupling parameters of obstacles from their sections, in physical units.
 
-        Inputs outside the trained range are clipped to this range. `in_range` of such an obstacle
-        is False in the result.
+        Inputs outside the trained range are clipped to this range. The field `in_range` of the
+        result is False for an obstacle with such an input.
 
         Args:
             extents: (M, 2) half-extents lambda' of the obstacles' sections by the plane of motion,
@@ -185,14 +186,14 @@ def plane_axes(baseline: FloatArray, to_O: FloatArray, normal: FloatArray) -> Fl
 
     Args:
         baseline: (3,) unit vector from start to goal in the world frame, the baseline.
-        to_O: (M, 3) vectors from the tool point to the centers of the obstacles, in the planes and
-            the world frame; only their directions matter.
+        to_O: (M, 3) vectors from the tool point to the centers of the obstacles in the world frame,
+            each in the plane of its obstacle; only the directions matter.
         normal: (M, 3) unit normals of the planes in the world frame.
 
     Returns:
-        (M, 2, 3) two orthogonal unit vectors in each plane, in the world frame. The first has the
-        direction of the projection of the baseline onto the plane, or of the obstacle if the plane
-        is orthogonal to the baseline.
+        (M, 2, 3) two orthogonal unit vectors in each plane, in the world frame. The first is the
+        direction of the baseline projected onto the plane. If the plane is orthogonal to the
+        baseline, the first is the direction to the obstacle's center instead.
     """
     along = baseline - (normal @ baseline)[:, None] * normal
     # In a plane orthogonal to the baseline, the direction to the obstacle replaces the projection.
@@ -207,13 +208,15 @@ def section_extents(
 ) -> FloatArray:
     """Computes half-extents lambda' of the sections of obstacles by the plane of motion.
 
-    Each obstacle has a plane of motion (P-plane), which is spanned by ``p_WO - p_WE`` and the
-    scaled velocity ``z_W``; if these are parallel, by the x and z axes of the local frame. Let
-    U = [u1, u2] be orthogonal unit vectors in this plane, u1 along the projection of the baseline
-    (`plane_axes`), and ``A = R diag(1/l^2) R^T`` the matrix of an ellipsoid with rotation R and
-    semi-axes l. The section is ``{a : a^T S a <= 1}`` with ``S = U^T A U``. The half-extents
-    are the values of the support function ``sqrt(u^T S^-1 u)`` along u1 and u2. Unlike the
-    principal semi-axes of the section, they vary continuously when an obstacle rotates.
+    Each obstacle has a plane of motion (P-plane), which is spanned by the scaled velocity ``z_W``
+    and the vector ``p_WO - p_WE`` from the tool point to the obstacle's center. If these two are
+    parallel, the plane has the x and z directions of the local frame. The obstacle is an ellipsoid
+    with the matrix ``A = R diag(1/l^2) R^T``, where R is its rotation and l its semi-axes. Let
+    U = [u1, u2] be orthogonal unit vectors in the plane, u1 along the projection of the baseline
+    (`plane_axes`). The section by the plane is ``{a : a^T S a <= 1}`` with ``S = U^T A U``. The
+    half-extents are the values of the support function ``sqrt(u^T S^-1 u)`` along u1 and u2. Unlike
+    the principal semi-axes of the section, the half-extents vary continuously when an obstacle
+    rotates.
 
     Args:
         p_WE: (3,) position of the tool point in the world frame [m].

@@ -24,10 +24,11 @@ class RegressorChain(LeafSystem):
       - coupling_parameters
 
     - ellipsoids_W: abstract `EllipsoidSet`, M obstacles dilated by the tool; may be empty.
-    - policy_state: abstract `PolicyState` of the movement primitive. Position and velocity of the
-      tool point and the center of an obstacle define a plane. The half-extents of the obstacle's
-      section by this plane, and the requested clearance if the chain has three inputs, divided by
-      the distance from start to goal, are the input of the chain.
+    - policy_state: abstract `PolicyState` of the movement primitive, from which position and
+      velocity of the tool point are read. They and the center of an obstacle define a plane. The
+      input of the chain consists of the half-extents of the obstacle's section by this plane and,
+      if the chain has three inputs, the requested clearance, all divided by the distance from start
+      to goal.
     - coupling_parameters: abstract `CouplingParameters` with M rows: strength alpha [1/T, with the
       demonstrated duration T], angular width psi [rad] and decay kappa [1/m^2] of coupling terms
       (turning rates away from the centers of the obstacles), and whether the input of the chain was
