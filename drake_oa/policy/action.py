@@ -64,8 +64,8 @@ class Segment(Frozen):
         """Computes position, velocity and acceleration of the tool point at a time of the segment.
 
         The velocity is linear in time. The position is the integral of the velocity, plus a term
-        linear in time, so that it ends at the position in the final state. Times before the segment
-        are clipped to its beginning; after its end the velocity is constant.
+        linear in time, so that it ends at the position in the state `end`. For times before the
+        segment, the result is that at its beginning; after its end the velocity is constant.
 
         Args:
             time: time of the simulation [s].
@@ -122,9 +122,10 @@ def take_step(
         dmp: movement primitive of three dimensions, used if the segment has none.
         config: constants of coupling terms and holds.
         speed_scale: requested fraction of the full speed ds/dt = 1 / (tau T), with normalized time
-            s, demonstrated duration T and temporal scaling tau. ds/dt changes toward this fraction
-            by at most 1 / T in the time `config.hold_time`; a motion at its start begins at most at
-            this fraction of 1 / T. Values are clipped to [0, 1]; NaN counts as 0.
+            s, demonstrated duration T and temporal scaling tau. ds/dt approaches
+            speed_scale / (tau T); its change during the time `config.hold_time` is at most 1 / T. A
+            motion at its start begins with at most ds/dt = speed_scale / T. Values are clipped to
+            [0, 1]; NaN counts as 0.
         evasion_velocity: (3,) velocity in the world frame at the end of the step [m/s], added to
             that of the primitive to evade moving obstacles. It displaces p_WE, without effect on
             scaled velocity and phase, and is linear in time within the step. None or not finite: 0.
@@ -187,10 +188,10 @@ def restart(
 ) -> Segment:
     """Restarts a motion of the tool point that is at rest, with its current position as the start.
 
-    The phase becomes 1 and the goal `p_WG`. A motion is at rest while its rate ds/dt of normalized
-    time is 0. The segment is returned unchanged in three cases: the motion has left its start and
-    is not at rest, its position is `p_WG`, or it is still at its start and already has the
-    primitive `primitive`.
+    The new motion has the phase 1 and the goal `p_WG`. A motion is at rest while its rate ds/dt of
+    normalized time is 0. There is no restart in three cases: the motion has left its start and is
+    not at rest, the tool point is at `p_WG`, or the motion is still at its start and already has
+    the primitive `primitive`.
 
     Args:
         before: motion in the previous step, at the end of which the motion restarts.
@@ -200,7 +201,7 @@ def restart(
             `DmpIntegrator`.
 
     Returns:
-        Segment of zero length at the start of the new motion, or `before`.
+        Segment of zero length at the start of the new motion; `before` without a restart.
     """
     state = before.end
     has_left = not np.array_equal(state.p_WE, state.p_WS)
@@ -239,7 +240,8 @@ class CouplingInputs(Frozen):
         path_length: length of the path past all obstacles on their selected sides [m], which scales
             the duration if `tau` is 0; None: no sides are selected.
         verified: whether the coupling terms belong to a motion that `MotionVerifier` has selected
-            by roll-outs (simulations); a tool or goal inside an ellipsoid then does not hold it.
+            by roll-outs (simulations). Such a motion is not held if the tool or the goal is inside
+            an ellipsoid.
         restart: whether a motion at rest restarts from its current position.
     """
 
@@ -260,15 +262,16 @@ class CouplingInputs(Frozen):
 
         Args:
             ellipsoids: M obstacles; None: the input port ellipsoids_W is not connected. Then only
-                coupling terms act that roll-outs (simulations) have verified, because these have
-                their own centers.
-            coupling: parameters of M coupling terms; None: no coupling terms. Its normals of the
-                planes of rotation, its temporal scaling, and its reason for holding the motion
-                (stopping it on its path) take precedence over those that result from the route.
-            route: sides on which the M obstacles are passed, length of the path past them, from
-                which the temporal scaling is computed, and whether they block the path, which holds
-                the motion. Guidance, a coupling term, turns the motion toward these sides. None: no
-                guidance.
+                coupling terms act that roll-outs (simulations) have verified, because the message
+                with these terms also contains their centers.
+            coupling: parameters of M coupling terms; None: no coupling terms. The normals of the
+                planes of rotation, the temporal scaling, and the reason for holding the motion
+                (stopping it on its path) in this message take precedence over those that result
+                from the route.
+            route: sides on which the M obstacles are passed. Guidance, a coupling term, turns the
+                motion toward these sides. The length of the path past the obstacles determines the
+                temporal scaling. While every side of an obstacle is forbidden, the motion is held.
+                None: no guidance.
 
         Raises:
             ValueError: if coupling or route do not have one row per ellipsoid, alpha or kappa is

@@ -113,8 +113,8 @@ def advance(
     A step consists of half a step of the spring, the rotation of the scaled velocity by the
     coupling terms, and the other half step of the spring. At a distance from the goal below
     `setup.fade`, the strengths alpha of the coupling terms fade as (distance / fade)^4. Without
-    fading the coupling terms would keep the motion circling around the goal. The power is as high
-    as 4 because the motion depends on the logarithm of alpha.
+    fading the coupling terms would keep the motion circling around the goal. With a power below 4
+    they would fade too slowly, because their effect depends on the logarithm of alpha.
 
     Args:
         setup: constants of the motion.

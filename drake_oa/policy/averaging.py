@@ -55,17 +55,17 @@ _PENALTY = 1e-6
 The mean spline averages recorded demonstrations. The penalty determines its shape in gaps between
 their samples."""
 _SHORT = 0.05
-"""Minimum ratio of the distance from start to end of a recorded path to the path's extent [-].
+"""Minimum distance from start to end of a recorded path, divided by the extent of the path [-].
 
 The extent is the largest edge of the path's bounding box along the world's axes. Paths of at least
-`SPARSE` samples with a smaller ratio are refused, because a movement primitive is scaled by this
-distance."""
+`SPARSE` samples with a smaller ratio are refused, because a movement primitive is scaled by the
+distance from start to end."""
 _UNLIKE = math.pi / 2.0
 """Maximum difference between the rotations of a recording and the mean of all recordings [rad].
 
-The orientations in the middle are compared, and the rotation vectors from the middle to the start
-and to the end. Recordings with a larger difference are refused, as they probably rotate in
-different directions."""
+Three quantities are compared: the orientation in the middle of the duration, and the rotation
+vectors from this orientation to the first and to the last one. Recordings with a larger difference
+are refused, because they probably rotate in another direction."""
 
 
 def average_paths(

@@ -46,10 +46,11 @@ They are the obstacle's center (3), alpha, psi, kappa, the guidance heading (3) 
 the plane of rotation (3)."""
 
 _MAX_STIFFNESS = 1e4
-"""Maximum ratio of a coupling term's initial rate times step to its rotation over the step [-].
+"""Maximum ratio of explicit to actual rotation by a coupling term over a step [-].
 
-The rotation is that of a term that acts alone. Larger ratios are reduced to this value. They would
-make the linear system for the rotation by all terms together ill-conditioned."""
+The explicit rotation is the turning rate at the beginning of the step times the step. The actual
+rotation is that of a term that acts alone. Larger ratios are reduced to this value. They would make
+the linear system for the rotation by all terms together ill-conditioned."""
 _NEGLIGIBLE = 1e-15
 """Product of maximum turning rate and step below which an avoidance term is skipped [rad].
 
@@ -218,8 +219,8 @@ def avoidance_turn(rate: float, theta: float, psi: float, step: float) -> float:
     The avoidance term is (8) of Pairet et al., RA-L 2019, which turns the motion away from an
     obstacle. The angle theta from the direction of the obstacle's center to the heading obeys
     d theta/ds = A exp(-theta^2 / psi^2). A = alpha exp(-kappa d^2), with the distance d from this
-    center, is constant over the step. The result is within 2.5 % of the exact solution. With
-    u = theta / psi, c = rate step / psi and g = 2 u + asinh(c / sqrt(1 + 2 u c)), the angle after
+    center, is constant over the step. The solution is approximated within 2.5 %: with
+    u = theta / psi, c = rate * step / psi and g = 2 u + asinh(c / sqrt(1 + 2 u c)), the angle after
     the step is psi sqrt(u^2 + log(1 + c g)), at most pi.
 
     Args:
@@ -342,11 +343,12 @@ def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
 def turn_step(terms: FloatArray, fade: float, p: Triple, z: Triple, step: float) -> Triple:
     """Computes the rotation of the motion's heading by all coupling terms together over a step.
 
-    The rotation vector w solves (I + sum (q_i - 1) a_i a_i^T) w = sum q_i phi_i a_i. a_i is the
-    unit axis of term i, phi_i its rotation over the step if it acts alone, and q_i its turning rate
-    at the beginning of the step, times the step, over phi_i. A term that acts alone thus rotates
-    the heading by phi_i, even if its rate is large. It never rotates past the direction straight
-    away from the obstacle, or past the guidance heading. The angle |w| is at most pi.
+    The rotation vector w solves (I + sum (q_i - 1) a_i a_i^T) w = sum q_i phi_i a_i. Term i has the
+    unit axis a_i, and rotates by phi_i over the step if it acts alone. q_i is the ratio
+    rate_i * step / phi_i, with the turning rate rate_i at the beginning of the step. A term that
+    acts alone thus rotates the heading by phi_i, even if its rate is large. Such a term never
+    rotates past the direction straight away from the obstacle, or past the guidance heading. The
+    angle |w| is at most pi.
 
     Args:
         terms: (M, 12) coupling terms with the columns p_WO (3), alpha, psi, kappa, guidance heading

@@ -14,26 +14,28 @@ meters, the velocity is z / (tau T), and the path does not depend on tau.
 Space. The forcing term is learned in the demonstration's local frame L and divided by its baseline
 (distance from start to goal). A new motion scales and rotates it: f_W = baseline R_WL f(k).
 
-Orientation. The orientation is R_WE = R_WA exp([r]), with r the rotation vector from a fixed frame
-A, the origin, expressed in A. A is rotated relative to the start S as the middle sample of the
-demonstration is relative to its first sample (`OrientationDmp.offset`); without a demonstration A
-has the orientation of S. r obeys, with the phase k of the position,
+Orientation. The orientation is R_WE = R_WA exp([r]). A is a frame that is fixed during a motion,
+and r the rotation vector from A to the tool, expressed in A. A is rotated relative to the start S
+as the middle sample of the demonstration is relative to its first sample
+(`OrientationDmp.offset`); without a demonstration A has the orientation of S. r obeys, with the
+phase k of the position,
 
     dz/ds = alpha_x (beta_x (g - r) - z) + f_0(k) (g - r(0)) + f(k),    dr/ds = z,
 
 with g the rotation vector of the goal. f_0 is fitted to the minimum-jerk profile m(s), which rises
-from 0 to 1. f is fitted to the remainder r(s) - m(s) r(1) of the demonstration, in which r is
-relative to r(0). A motion to another goal is thus r(0) + m(s) (g - r(0)) + (r(s) - m(s) r(1)), also
-if start and goal have the same orientation. As for the position, each integration step is exact for
-a forcing term that is constant in the step. The exponential map has no singularity; logarithms are
-computed only when a primitive is learned or a goal is set.
+from 0 to 1. With the demonstrated rotation vector r_d(s) minus its initial value, f is fitted to
+the remainder r_d(s) - m(s) r_d(1). A motion to another goal is thus
+r(s) = r(0) + m(s) (g - r(0)) + (r_d(s) - m(s) r_d(1)), also if start and goal have the same
+orientation. As for the position, each integration step is exact for a forcing term that is constant
+in the step. The exponential map has no singularity; logarithms are computed only when a primitive
+is learned or a goal is set.
 The angular velocity in A is the left Jacobian of the exponential map times r',
 
     w_A = r' + a r x r' + b r x (r x r'),   a = (1 - cos |r|) / |r|^2,
                                             b = (|r| - sin |r|) / |r|^3.
 
-This differs from Ude et al. (ICRA 2014), whose spring acts on 2 log(g q*): their system is not
-linear, so that it has no closed-form step.
+The equations for r differ from those of Ude et al. (ICRA 2014), where the spring acts on
+2 log(g q*): that system is not linear, so that it has no closed-form step.
 """
 
 from __future__ import annotations
@@ -71,8 +73,8 @@ N_BASIS = 35
 _STILL = 0.2
 """Length of the interval after the demonstration in which the forcing term is fitted to zero [-].
 
-The unit is the demonstrated duration. Without this interval a remaining force displaces the end of
-a recorded motion by 1 to 2 mm."""
+The unit is the demonstrated duration. Without this interval the forcing term does not vanish at the
+end of the demonstration, and displaces the end of a recorded motion by 1 to 2 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,8 +312,9 @@ def interpolant(s: FloatArray, x: FloatArray) -> BSpline | PchipInterpolator:
     """Returns a spline through the samples x (T, D) of a demonstration at increasing times s (T,).
 
     The degree is 5, or lower for fewer than six samples. At uneven times such a spline may
-    overshoot without limit. If any of its D components leaves the range of the samples by more than
-    a fifth of the largest range of a component, the result is a monotone cubic interpolant.
+    overshoot without limit. The result is therefore a monotone cubic interpolant if the spline, in
+    any of the D components, leaves the range of the samples by more than a fifth of the range of
+    the component that varies most.
     """
     spline = make_interp_spline(s, x, k=min(5, len(x) - 1) if len(x) != 5 else 3)
     low, high = x.min(axis=0), x.max(axis=0)
@@ -322,10 +325,10 @@ def interpolant(s: FloatArray, x: FloatArray) -> BSpline | PchipInterpolator:
 
 
 _OVERSHOOT = 0.2
-"""Maximum distance by which a component of the spline through a demonstration may leave the range
-of the samples, over the largest range of a component [-].
+"""Maximum overshoot of the spline through a demonstration beyond the range of the samples [-].
 
-A monotone cubic interpolant replaces a spline that leaves the range by more."""
+The overshoot is measured in each component. It is divided by the range of the component that varies
+most. A monotone cubic interpolant replaces a spline with a larger overshoot."""
 
 
 @lru_cache(maxsize=16)
@@ -537,8 +540,8 @@ def goal_vector(start: ArrayLike, goal: ArrayLike, near: ArrayLike | None = None
     Args:
         start: (3, 3) orientation R_WS.
         goal: (3, 3) orientation R_WG.
-        near: (3,) reference rotation vector [rad]. Of all rotation vectors that describe the same
-            rotation, the one nearest to it is returned; None: the shortest one is returned.
+        near: (3,) rotation vector [rad]. Of all rotation vectors that describe the rotation from S
+            to G, the one nearest to `near` is returned; None: the shortest one is returned.
 
     Returns:
         (3,) rotation vector [rad].
@@ -740,7 +743,7 @@ def roll_orientation(
 def orientation_along(
     primitive: OrientationDmp, start: ArrayLike, goal: ArrayLike, s: ArrayLike
 ) -> FloatArray:
-    """Computes the orientations of the tool along a motion from rest at normalized times.
+    """Computes the orientations of the tool at given times of a motion that starts at rest.
 
     Args:
         primitive: movement primitive of the orientation.
@@ -796,9 +799,9 @@ _DIFFERENCE = 1e-5
 def evaluate(ends: FloatArray, length: float, origin: Rotation, time: float) -> FloatArray:
     """Computes orientation, angular velocity and acceleration of the tool at a given time.
 
-    The time is between two steps of the integrator, or later. The orientation is
-    R_WE = R_WA exp([r]), with a fixed frame A. The rotation vector r is a cubic
-    polynomial in time between both steps; after the second step its time derivative is constant.
+    The orientation is R_WE = R_WA exp([r]), with a fixed frame A. Between two steps of the
+    integrator, the rotation vector r is a cubic polynomial in time; after the second step its time
+    derivative is constant.
 
     Args:
         ends: (2, 2, 3) r [rad] and its time derivative [rad/s] at the first and at the second step

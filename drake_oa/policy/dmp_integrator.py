@@ -63,16 +63,17 @@ class DmpIntegrator(LeafSystem):
       computed at each step. Not connected: no guidance term, and no temporal scaling by the path
       length.
     - speed_scale (optional): (1,) requested fraction of full speed in [0, 1], from
-      `MotionGuard`. The motion begins at this fraction; later the speed changes toward it, by the
-      full speed in the time `policy.hold_time`. The path does not change; at 0 the motion is held.
-      Not connected: 1.
-    - evasion_velocity (optional): (3,) velocity in the world frame [m/s] from `MotionGuard` that
-      displaces p_WE in addition to the primitive. It does not change phase and scaled velocity;
-      the spring acts from the displaced position. It should be continuous, because the desired
-      velocity follows it within one step. Not connected: 0.
-    - demonstration (optional): abstract `Demonstration`. A motion that restarts follows its
-      movement primitive of the position. Not connected or without this primitive: the constructor's
-      primitive.
+      `MotionGuard`. The speed ds/dt approaches this fraction of 1 / (tau T); its change during the
+      time `policy.hold_time` is at most 1 / T. The first motion begins at this fraction of 1 / T,
+      unless it is held at first; a restarted motion begins at rest. The path does not change; at 0
+      the motion is held. Not connected: 1.
+    - evasion_velocity (optional): (3,) velocity in the world frame [m/s] from `MotionGuard`, added
+      to that of the primitive. It displaces p_WE, but changes neither phase nor scaled velocity;
+      the spring acts on the displaced position. The evasion velocity should be
+      continuous, because the desired velocity follows it within one step. Not connected: 0.
+    - demonstration (optional): abstract `Demonstration`. A motion that restarts follows the
+      demonstration's movement primitive of the position. Not connected or without this primitive:
+      the constructor's primitive.
     - desired_position: (3,) p_WE in the world frame [m].
     - desired_velocity: (3,) v_WE in the world frame [m/s].
     - desired_acceleration: (3,) a_WE in the world frame [m/s^2].

@@ -10,12 +10,12 @@ Guidance acts while both conditions hold, with the heading u of the motion and t
 E to the center of the obstacle:
 
 - The ray from E along u enters the obstacle, grown by the clearance, before the goal.
-- The avoidance term would turn the motion to another side: the normal e x u of the plane in which
-  the avoidance term acts has a negative component along the normal of the plane in which the
-  obstacle is to be passed. This component over |e x u|, without its sign, is the sine of an angle,
-  the lean.
+- The avoidance term would turn the motion to another side: -n . (e x u) is positive, with the unit
+  normal n of the plane in which the obstacle is to be passed. The avoidance term rotates about
+  e x u, a passage on the selected side about n.
 
-v_d blends linearly from u to the tangent as the sine of the lean rises from 0 to 0.5 (30 degrees).
+v_d blends linearly from u to the tangent as the ratio -n . (e x u) / |e x u|, the sine of an angle,
+rises from 0 to 0.5 (30 degrees).
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ class Obstacles(NamedTuple):
         R_WO: (M, 3, 3) rotations of the ellipsoids; the columns are the principal axes.
         semi_axes: (M, 3) semi-axes of the ellipsoids [m].
         terms: (M, 12) coupling terms (turning rates of the motion) at full strength, without the
-            fading near the goal. The columns are the center of the term (3), alpha, psi, kappa,
-            the guidance heading (3), the direction past the obstacle on the selected side, which is
-            zero here and computed in each step, and the normal (3) of the plane in which the
-            obstacle is passed, zero if no side is selected.
+            fading near the goal. The columns are the center of the term (3), alpha, psi, kappa, the
+            guidance heading (3) and the normal (3) of the plane in which the obstacle is passed.
+            The guidance heading, a direction past the obstacle on the selected side, is zero here
+            and computed in each step. The normal is zero if no side is selected.
         direction: (M, 3) unit vectors omega_d in the world frame, from the baseline (line from
             start to goal) to the side on which each obstacle is passed.
         remaining_clearance: (M,) distance from each obstacle at which guidance leads the motion

@@ -47,8 +47,8 @@ class OrientationSegment(Frozen):
         phase: phase k of the policy (1 at the start, decaying to 0) at the second step.
         begin: time of the first step [s].
         length: time between the steps [s]; 0 before the integrator's first step.
-        p_WS: (3,) start position of the policy's motion at the second step [m], whose change marks
-            a restart of the motion; (0,) before the integrator's first step.
+        p_WS: (3,) position of the tool point at the start of the policy's current motion [m]. A
+            change of p_WS marks a restart of this motion. (0,): before the integrator's first step.
         demonstration: active demonstration; if its field `orientation` is None, the primitive of
             the constructor of `OrientationIntegrator` is active.
     """
@@ -111,9 +111,9 @@ class OrientationIntegrator(LeafSystem):
     The primitive is a spring-damper system with forcing term for the rotation vector from a fixed
     frame to the tool; `drake_oa.policy.dmp` has the equations. The abstract state is the current
     `OrientationSegment`, the motion between two steps. In a segment the rotation vector is a cubic
-    polynomial in time, from which angular velocity and acceleration are computed. Both steps must
-    be completed before the orientation is interpolated between them, so that it lags two periods
-    behind the policy.
+    polynomial in time, from which angular velocity and acceleration are computed. The orientation
+    is interpolated between two steps that the policy has already completed, and therefore lags two
+    periods behind the policy.
     """
 
     def __init__(

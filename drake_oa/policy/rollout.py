@@ -32,7 +32,7 @@ ARRIVED = 6e-4
 
 Its scaled velocity must also be below 20 times this value."""
 _EACH = 8
-"""Number of additional candidate motions for which their simulation uses one more thread [-]."""
+"""Number of candidate motions per additional thread that simulates them [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,12 +149,12 @@ def roll_out_tool(
         policy: configuration, of which `period` (time step [s]) and `fade` (distance from the goal
             within which the terms fade, over the distance from start to goal) are used. The step in
             normalized time is `period` over the duration of the primitive.
-        end: earliest normalized time at which a motion may end; values below the current
-            normalized time count as the current one.
-        latest: latest normalized time at which a motion ends; values less than 1 after the current
-            normalized time count as 1 after it.
+        end: earliest normalized time at which a motion may end; a value below the current
+            normalized time s is replaced by s.
+        latest: latest normalized time at which a motion ends; a value below s + 1 is replaced by
+            s + 1.
         tolerance: distance from the goal below which a motion ends between `end` and `latest`, if
-            its scaled velocity is below 20 times this value [m].
+            the length of its scaled velocity is below 20 times this value [m].
         longest: () or (N,) maximum path lengths [m]; a simulation ends as soon as the length so far
             plus the distance from the goal exceeds it.
         obstacles: K obstacles with selected sides, past which the guidance term turns the motions;
