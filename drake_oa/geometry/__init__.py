@@ -4,11 +4,12 @@ fields, voxels and cameras.
 The package has no systems and no state. Lengths are in meters, angles in radians; `p_WQ` are points
 Q in the world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float64.
 
-- `ellipsoid`: the unified system-obstacle descriptor (Pairet et al., RA-L 2019, section IV-B): an
-  obstacle's point cloud dilated by the tool, and the enclosing ellipsoid of least volume (Todd and
-  Yildirim 2007), which is checked to contain all dilated points, the differences of a point of the
-  cloud and a vertex of the tool; signed distances from points to ellipsoids, and sections of
-  ellipsoids by planes. Its loops are in `ellipsoid_kernels`.
+- `ellipsoid`: the unified system-obstacle descriptor (Pairet et al., RA-L 2019, section IV-B). An
+  obstacle's point cloud is dilated by the tool: the dilated points are the differences of a point
+  of the cloud and a vertex of the tool. The descriptor is the enclosing ellipsoid of least volume
+  (Todd and Yildirim 2007), which is checked to contain all dilated points. The module also computes
+  signed distances from points to ellipsoids, and sections of ellipsoids by planes. Its loops are in
+  `ellipsoid_kernels`.
 - `superquadric`: the paper's least-squares fit of a superquadric to a cloud (Solina and Bajcsy
   1990).
 - `collision_scene`: collision geometries of robots and obstacles, read from Drake: exact shapes,
@@ -17,9 +18,9 @@ Q in the world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all
 - `distance_field`: grid of distances to an obstacle's point cloud and to the space behind it that
   the obstacle probably fills.
 - `shapes`: `!Box`, `!Cylinder` and `!Sphere`, blocks of a scenario.
-- `voxels`: mean points by voxel, and clusters of near points.
+- `voxels`: mean of the points in each voxel, and clusters of near points.
 - `pinhole`: projection by a pinhole camera; depth images with the intrinsics and pose of their
-  camera (`View`); classification of points by them as free, occluded or at a surface.
+  camera (`View`); classification of points by depth images as free, occluded or at a surface.
 - `directions`: unit vectors, lattices, and points on a sphere.
 
 Compiled kernels take C-contiguous arrays of one type each, so that numba compiles each of them once

@@ -477,8 +477,8 @@ class CollisionScene(Frozen):
         return bool(self.geometries.moving.any())
 
     def same_as(self, other: CollisionScene) -> bool:
-        """Checks whether another scene has the same geometries and labels, all of them at rest, or
-        is the same object.
+        """Checks whether another scene is the same object, or has the same geometries and labels
+        without any moving geometry.
         """
         if self is other:
             return True
@@ -721,9 +721,11 @@ def _interpolated(
     """Interpolates a distance field at a point of its frame O [m]; outside the grid, the result is
     a lower bound of the distance.
 
-    For a point q outside the grid, let c be the nearest point of the grid's box. The box is convex
-    and contains the obstacle. Therefore |q - s|^2 >= |q - c|^2 + |c - s|^2 for each point s of the
-    obstacle.
+    For a point q outside the grid, let c be the nearest point of the grid's box, and d(c) the
+    interpolated distance at c, at least 0. The bound is sqrt(|q - c|^2 + d(c)^2) or, if larger, the
+    distance to the bounding box of the nodes in the obstacle, less `OFFSET` voxels. The first bound
+    holds because the grid's box is convex and contains the obstacle:
+    |q - s|^2 >= |q - c|^2 + |c - s|^2 for each point s of the obstacle.
 
     Args:
         x, y, z: coordinates of the point [m].

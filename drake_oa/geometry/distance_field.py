@@ -31,16 +31,18 @@ MAX_CELLS = 1 << 20
 """Maximum number of nodes of a distance field (4 MB); the voxels of a field for a larger cloud are
 coarser [-]."""
 DEEPEST = 0.08
-"""Maximum depth that is assumed for an obstacle whose occluded part is filled, because cameras
-observe it from one side only; a larger visible depth replaces it [m]."""
+"""Maximum depth that is assumed for an obstacle when its occluded part is filled [m].
+
+Cameras often observe an obstacle from one side only, so that its depth along the view is unknown.
+If the visible depth is larger than this value, the visible depth is assumed."""
 
 OFFSET = 0.13
 """Constant that is subtracted from all distances of a distance field, so that they are at most one
 voxel too large [voxel].
 
-In voxels, a point is at most sqrt(3) / 2 from the nearest node. Interpolation adds at most 0.26 to
-the distance from a node; the maximum, by numerical search, is near the center of a voxel with the
-node as a corner."""
+In voxels, a point of the cloud is at most sqrt(3) / 2 from the node that represents it, and the
+interpolated distance to a node is at most 0.26 too large. The sum is 1.13. The value 0.26 is the
+result of a numerical search; it occurs near the center of a grid cell with the node as a corner."""
 _THIN = 1e-4
 """Half the edge of the square that replaces each point in the computation of an obstacle's outline
 from above, so that collinear points have an outline [m]."""
@@ -48,8 +50,10 @@ _MIN_VIEW_DISTANCE = 0.05
 """Minimum distance of a camera from the bounding box of the cloud at which the space that the
 obstacle occludes is filled [m]."""
 _PIXEL = 1.0
-"""Width of a pixel, at the center of the cloud, in the depth image from which the space that the
-cloud occludes is computed [voxel]."""
+"""Width that a pixel of a depth image covers at the distance of the center of the cloud [voxel].
+
+The space that the cloud occludes is computed from this image of the cloud. If the image would have
+more than `_MAX_PIXELS` rows or columns, pixels are wider."""
 _MAX_PIXELS = 1024
 """Maximum number of rows and of columns of the depth image from which the space that a cloud
 occludes is computed [-]."""
@@ -62,9 +66,9 @@ class DistanceField(Frozen):
 
     The frame O of the grid has the world's axes and its origin at the first node. A node is
     occupied if its voxel contains a point, or if it is in the space behind the points that the
-    obstacle probably fills. Distances are negative inside the occupied space. Outside, a distance
-    is at most one voxel too large, and at most two voxels too small if voxels have the default edge
-    of 1 cm.
+    obstacle probably fills. Distances are negative inside the occupied space. Outside, they differ
+    from the true distances to the points: a value is at most one voxel too large and, without
+    filled space and with voxels of the default edge of 1 cm, at most two voxels too small.
 
     Attributes:
         p_WO: (3,) first node in the world, at the observation of the cloud [m].
@@ -92,26 +96,27 @@ def field_of(
     occludes from the cameras.
 
     A node is occupied if its voxel contains a point. At each node the distance to the nearest
-    occupied node is exact. The width of the visible part is its horizontal extent across the view,
-    and its visible depth the horizontal extent along the view. For each viewpoint, nodes that
-    satisfy all of these conditions are also occupied:
+    occupied node is exact. Further nodes are occupied because the obstacle probably fills them. For
+    each viewpoint, let the width be the horizontal extent of the points across the view, and the
+    visible depth their horizontal extent along the view. The assumed depth is the larger of the
+    visible depth and min(width, `deepest`). A node is also occupied if it satisfies all of
+    these conditions:
 
     - The node is behind the visible surface on a ray of the viewpoint. Its horizontal distance from
-      this surface is at most `deepest`, and at most the larger of the obstacle's width and visible
-      depth.
-    - It is within the outline from above of the visible part and its point reflection about the
-      center of the obstacle. Along the view, this center is half the assumed depth behind the
-      nearest point; across the view, it is in the middle of the visible part. The assumed depth is
-      the visible depth, or the width up to `deepest` if larger.
-    - It is above the table. Without a table, it is above the lowest point, or below the highest
-      point by at most the width, up to `deepest`.
-    - It is not observed to be free.
+      this surface is at most `deepest`, and at most the larger of width and visible depth.
+    - Seen from above, the node is within the convex outline of the points and of their reflections
+      about the center of the obstacle. Along the view, this center is half the assumed depth behind
+      the nearest point; across the view, it is in the middle of the points.
+    - The node is above the table. Without a table, it is above the lowest point, or at most
+      min(width, `deepest`) below the highest point.
+    - The node is not observed to be free.
 
-    The distance is at most one voxel larger than that to the points and, if no space is filled, at
-    most two smaller: sqrt(3)/2 from the point to its node, as much again at creases of the distance
-    between nodes, where two occupied nodes are equally near, and the subtracted offset of 0.13.
-    Away from creases, for example outside a flat surface, it is at most one voxel smaller. Voxels
-    with an edge above `VOXEL` (1 cm) reduce all distances by the difference of the edges.
+    An interpolated distance is at most one voxel larger than that to the points. If no space is
+    filled, it is at most two voxels smaller. These two consist of sqrt(3)/2 from the point to its
+    node, as much again at creases of the distance field, where two occupied nodes are equally near,
+    and the subtracted offset of 0.13. Away from creases, for example outside a flat surface, the
+    distance is at most one voxel smaller. Voxels with an edge above `VOXEL` (1 cm) reduce all
+    distances by the difference of the edges.
 
     Args:
         cloud: (N, 3) points in the world, at least one [m].
@@ -227,11 +232,11 @@ def _find_occluded(
     """Finds the nodes of a grid that an obstacle occludes from a viewpoint, and that it probably
     fills.
 
-    The nodes are behind the visible surface, at a horizontal distance of at most `deepest` and of
-    at most the larger horizontal extent of the points, along or across the view. They are within
-    the outline from above, occluded part included, that `_outline` computes, and above the table.
-    Without a table, they are above the lowest point, or below the highest point by at most the
-    extent across the view, up to `deepest`.
+    The nodes are behind the visible surface. Their horizontal distance from this surface is at most
+    `deepest`, and at most the larger horizontal extent of the points, along or across the view.
+    Seen from above, the nodes are within the outline that `_outline` computes for the whole
+    obstacle. They are above the table. Without a table, they are above the lowest point, or at most
+    min(extent across the view, `deepest`) below the highest point.
 
     Args:
         points: (N, 3) points of the obstacle in the world [m].

@@ -2,9 +2,9 @@
 as a point.
 
 The obstacle's points are dilated by the tool, and one ellipsoid encloses the result. The other
-layers then treat the tool as the tool point E (Pairet et al., RA-L 2019, section IV-B; lambda_4 =
-lambda_5 = 1 in (10) of the paper). An ellipsoid O has a center p_WO, a rotation R_WO with the
-principal axes as columns, and semi-axes a:
+layers then treat the tool as the tool point E (Pairet et al., RA-L 2019, section IV-B, with the
+exponents lambda_4 = lambda_5 = 1 of the superquadric (10)). An ellipsoid O has a center p_WO, a
+rotation R_WO with the principal axes as columns, and semi-axes a:
 
     x inside  <=>  gauge(x) = | diag(1/a) R_WO^T (x - p_WO) | <= 1.
 
@@ -35,8 +35,10 @@ _TOLERANCE = 1e-2
 """Relative tolerance with which an enclosing ellipsoid has the least volume [-].
 
 The gauge of a point is 1 on the surface of the ellipsoid and grows in proportion to the distance
-from the center. Before the final scaling, which encloses all points, the squared gauge of the
-points is at most about 1 plus this value."""
+from the center. Before the final scaling, which encloses all points, points may be slightly
+outside: the squared gauge is at most about 1 plus this value for the points that determine the fit.
+If the squared gauge of another point is above 1 plus twice this value, the fit is repeated with the
+farthest such point."""
 _DIRECTIONS = sphere_points(156)
 """Unit vectors (162, 3) in whose directions the support points (farthest points) of a dilated cloud
 are computed."""
@@ -56,10 +58,10 @@ class Ellipsoid(Frozen):
         center: (3,) center p_WO [m].
         R: (3, 3) rotation R_WO; its columns are the principal axes, right-handed.
         semi_axes: (3,) semi-axes along those columns, largest first [m].
-        gauge: largest gauge(x) = |diag(1 / semi_axes) R^T (x - center)| of all dilated points x,
-            the differences of a point of the obstacle's cloud and a vertex of the tool. The gauge
-            is 1 on the surface and smaller inside, so that a value of at most 1 certifies that the
-            ellipsoid encloses all dilated points.
+        gauge: largest gauge of all dilated points; a value of at most 1 certifies that the
+            ellipsoid encloses them. A dilated point x is the difference of a point of the
+            obstacle's cloud and a vertex of the tool. Its gauge
+            |diag(1 / semi_axes) R^T (x - center)| is 1 on the surface and smaller inside.
     """
 
     center: FloatArray
@@ -73,14 +75,14 @@ def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
     reflected convex tool E.
 
     The C-obstacle (configuration-space obstacle) contains the positions of the tool's reference
-    point at which tool and obstacle intersect (Lozano-Perez). In each direction the support point
-    of a Minkowski sum is the sum of the support points. No hull is needed, so that a single point,
-    a line or a plane of points is a valid cloud.
+    point at which tool and obstacle intersect (Lozano-Perez). The support point in a direction is
+    the farthest one. The support point of a Minkowski sum is the sum of the support points of both
+    sets. No hull is needed, so that a single point, a line or a plane of points is a valid cloud.
 
     Args:
         points: (N, 3) surface points in W [m].
         tool: (K, 3) vertices of the tool's convex geometry relative to its reference point (the
-            TCP), in W orientation [m]; [[0, 0, 0]]: a point.
+            TCP), expressed in W [m]; [[0, 0, 0]]: a point.
 
     Returns:
         (S, 3) distinct support points in W [m], at most one for each of 162 directions.
@@ -100,14 +102,15 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
 
     A dilated point is the difference of a point and a vertex of the tool. Khachiyan's algorithm
     with the away steps of Todd and Yildirim (2007) encloses the support points, the dilated points
-    that are farthest in one of 162 directions. While a dilated point is outside by more than the
-    tolerance, the farthest one is added and the fit repeated. Finally the ellipsoid is scaled about
-    its center until it contains the farthest of all N x K dilated points, and is checked.
+    that are farthest in one of 162 directions. While a dilated point is outside by more than about
+    1 %, the farthest one is added to the support points, and the fit is repeated, up to 20 fits in
+    all. Finally the ellipsoid is scaled about its center until it contains the farthest of all
+    N x K dilated points, and is checked.
 
     Args:
         points: (N, 3) points in W [m].
-        tool: (K, 3) vertices of the tool's convex geometry relative to its reference point, in W
-            orientation [m]; None: a point.
+        tool: (K, 3) vertices of the tool's convex geometry relative to its reference point,
+            expressed in W [m]; None: a point.
 
     Returns:
         Ellipsoid whose field `gauge` is at most 1: it contains all dilated points.
@@ -192,9 +195,9 @@ def plane_section(
     """Computes the ellipse in which the plane through an ellipsoid's center along e1 and e2 cuts
     the ellipsoid.
 
-    The principal semi-axes are eig(S)^(-1/2), with S = U R diag(1/a^2) R^T U^T, semi-axes a of the
-    ellipsoid and rows e1, e2 of U. They are the descriptors lambda' of Pairet et al., RA-L 2019, if
-    the plane is the P-plane: the plane of tool, velocity and obstacle center.
+    The semi-axes of the ellipse are eig(S)^(-1/2), with S = U R diag(1/a^2) R^T U^T, semi-axes a of
+    the ellipsoid and rows e1, e2 of U. On the P-plane, the plane of tool, velocity and obstacle
+    center, they are the lambda' with which Pairet et al., RA-L 2019, describe an obstacle.
 
     Args:
         R: (..., 3, 3) rotations R_WO.
@@ -283,11 +286,10 @@ def right_handed(axes: FloatArray) -> FloatArray:
 def _farthest(
     points: FloatArray, tool: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray
 ) -> tuple[float, int, int]:
-    """Finds the dilated point that is farthest outside or least inside an ellipsoid, by its gauge:
-    1 on the surface.
+    """Finds the dilated point with the largest gauge relative to an ellipsoid.
 
-    A dilated point x is the difference of a point and a tool vertex. Its gauge is
-    |diag(1 / semi_axes) R^T (x - center)|.
+    A dilated point x is the difference of a point and a tool vertex. Its gauge
+    |diag(1 / semi_axes) R^T (x - center)| is 1 on the surface and larger outside.
 
     Args:
         points: (N, 3) points of a cloud [m].

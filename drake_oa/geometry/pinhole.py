@@ -25,11 +25,11 @@ HIDDEN: occluded; AT: at the depth of a surface; FREE: in free space; OUT: outsi
 with too few measured pixels to decide; EMPTY: without depth in the pixels around it and 12 pixels
 away, as in front of a background that is too far to be measured."""
 _AROUND = 12
-"""Distance to the eight pixels around a pixel without depth that decide whether a point there is
-EMPTY or OUT [pixel].
+"""Distance along rows and columns from a point's pixel to eight pixels around it [pixel].
 
-A point is EMPTY if these pixels are in the image and have no depth either. The distance is larger
-than the width of the bands without depth beside nearer objects."""
+They are tested for a point without depth in its pixel and the adjacent ones. If all eight are in
+the image and have no depth either, the point is EMPTY, otherwise OUT. The distance is larger than
+the width of the bands without depth beside nearer objects."""
 _STEPS = np.indices((3, 3)).reshape(2, -1) - 1
 """Row and column offsets (2, 9) from a pixel to itself and its eight neighbors [pixel]."""
 

@@ -29,9 +29,9 @@ def fit_superquadric(points: ArrayLike) -> tuple[FloatArray, FloatArray, FloatAr
 
         min  sum_i r_i^2,   r_i = sqrt(lambda_1 lambda_2 lambda_3) (F_i - 1)
 
-    after Solina and Bajcsy (1990). In (11) of Pairet et al., RA-L 2019, the residual is not
-    squared. That sum has no lower bound, and decreases with the size of the superquadric. Center,
-    rotation and semi-axes are optimized together, starting at the cloud's principal axes.
+    after Solina and Bajcsy (1990). In (11) of Pairet et al., RA-L 2019, the residuals are not
+    squared. The sum of these residuals has no lower bound: it decreases as the superquadric grows.
+    Center, rotation and semi-axes are optimized together, starting at the cloud's principal axes.
 
     Args:
         points: (N, 3) points in W [m].

@@ -1,4 +1,4 @@
-"""Voxel grid and clustering of point clouds: mean points by voxel, and clusters of near points."""
+"""Voxel grid and clustering of point clouds: mean point of each voxel, clusters of near points."""
 
 from __future__ import annotations
 
@@ -73,14 +73,14 @@ def _unite(points: FloatArray, tolerance: float, parent: IntArray) -> None:
 def connected_clusters(
     points: FloatArray, tolerance: float, groups: IntArray | None = None
 ) -> IntArray:
-    """Clusters points: two points within the tolerance, and all points of a group, belong to the
-    same cluster.
+    """Clusters points: two points belong to the same cluster if they are near or in the same given
+    group, or are connected by a chain of such pairs.
 
     Args:
         points: (N, 3) points [m].
-        tolerance: maximum distance of connected points [m].
-        groups: (N,) group of each point; points of one group are connected at any distance. None:
-            no groups.
+        tolerance: maximum distance of two points that count as near [m].
+        groups: (N,) number of the group of each point; points with equal numbers are in the same
+            cluster at any distance. None: no groups.
 
     Returns:
         (N,) labels of the points' clusters: 0, 1, ..., in the order of the clusters' first points.
