@@ -60,9 +60,10 @@ class Command(Frozen):
             and within the limits [N m, N].
         saturated: whether the control law exceeds the effort limit of an arm joint.
         stopping: whether the joints are braked because an input is not finite.
-        error: (k,) desired minus actual positions of the arm's joints [rad] or, for the tool,
-            rotation vector from the actual to the desired orientation [rad] (3), then desired minus
-            actual position [m] (3), in the world frame; inf while the joints are braked.
+        error: control error; inf while the joints are braked. In joint space: (n,) desired minus
+            actual positions of the arm's n joints [rad]. For the tool: (6,) rotation vector from
+            the actual to the desired orientation (3) [rad], then desired minus actual position (3)
+            [m], both in the world frame.
     """
 
     tau: FloatArray = zeros(0)
@@ -92,11 +93,12 @@ class InverseDynamics(LeafSystem):
 
     With the arm's equation of motion M dv/dt + h = tau (mass matrix M, gravity and velocity terms
     h), a subclass computes tau - h and the control error, desired minus actual. The subclass also
-    declares a discrete state of the size of the error plus 1. It contains `ki_position` times the
-    integral of the error, which is an acceleration, and 1 while the arm is braked. Braking applies
-    the torques -kd_stop M v + h or, if the robot's state is not finite, 0. When braking begins, a
-    warning names the invalid inputs. The control law is evaluated once for all outputs. The Context
-    of the robot's plant is a cache entry.
+    declares a discrete state. For each component of the error, the state has one element:
+    `ki_position` times the integral of this component, an acceleration. The last element of the
+    state is 1 while the arm is braked, otherwise 0. Braking applies the torques -kd_stop M v + h
+    or, if the robot's state is not finite, 0. When braking begins, a warning names the invalid
+    inputs. The control law is evaluated once for all outputs. The Context of the robot's plant is a
+    cache entry.
     """
 
     largest_error: FloatArray | float
@@ -127,8 +129,9 @@ class InverseDynamics(LeafSystem):
             period: period with which the integral is updated [s].
 
         Raises:
-            ValueError: if a joint that moves has no actuator, no joint moves E, or the period is
-                not positive.
+            ValueError: if a joint that is not fixed has no actuator, if no joint moves E, if the
+                joints that move E are not revolute or not consecutive, or if the period is not
+                positive.
         """
         super().__init__()
         check_actuated(plant)
@@ -320,7 +323,8 @@ def find_arm(plant: MultibodyPlant, frame: Frame) -> slice:
         frame: tool frame E.
 
     Raises:
-        ValueError: if no joint moves the tool frame, or these joints are not consecutive.
+        ValueError: if no joint moves the tool frame, or if the joints that move the tool frame are
+            not revolute or not consecutive.
     """
     arm = [joint.velocity_start() for joint in joints_to(plant, frame)]
     if not arm or arm != list(range(arm[0], arm[0] + len(arm))):

@@ -7,7 +7,7 @@ Robotics and Automation 3(1), 1987)
 
     dv/dt_c = a_0 + J# (A_c - dJ/dt v - J a_0),    tau = M dv/dt_c + h,
 
-with the dynamically consistent inverse J# = M^-1 J^T (J M^-1 J^T)^-1, because of which a_0 produces
+with the dynamically consistent inverse J# = M^-1 J^T (J M^-1 J^T)^-1. Since J J# = I, a_0 produces
 no acceleration of the tool. Spatial quantities have Drake's order, rotation before translation.
 """
 
