@@ -5,15 +5,15 @@ Nakamura and H. Hanafusa, 1986) with the Jacobian J,
 
     dq = l + J^T (J J^T + damp I)^-1 (e - J l),    l = g' - g + k (g - q),
 
-where e is the rotation and translation to the next pose, damp is the damping, and l is the desired
-joint displacement in the null space. The present and the next nominal posture are g and g', and k
-(`pull`) is the fraction of the distance to g that is corrected per pose. A first step follows the
-nominal posture in the null space; corrective steps with l = 0 reduce the remaining pose error. An
-arm of six joints has a null space at singularities only. Its corrective steps have the damping of
-the first step, so that they do not undo the null-space motion there. A joint that would exceed its
-limit is fixed at the limit, and the other joints perform the step. Inverse kinematics performs such
-steps from several initial configurations, with a damping that grows with the squared error (T.
-Sugihara, 2011).
+where q is the configuration, e is the rotation and translation to the next pose, damp is the
+damping, and l is the desired joint displacement in the null space. The present and the next nominal
+posture are g and g', and k (`pull`) is the fraction of the distance from q to g that is corrected
+per pose. The first step to a pose follows the nominal posture in the null space; then corrective
+steps with l = 0 reduce the remaining pose error. An arm of six joints has a null space at
+singularities only. Its corrective steps have the damping of the first step, so that they do not
+undo the null-space motion there. A joint that would exceed its limit is fixed at the limit, and the
+other joints perform the step. Inverse kinematics performs such steps from several initial
+configurations, with a damping that grows with the squared error (T. Sugihara, 2011).
 """
 
 from __future__ import annotations
@@ -31,28 +31,30 @@ from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 
 PULL = 20.0
 """Rate at which the arm approaches the nominal posture in its null space, per normalized time (time
-over the duration of the motion) [-]. At 20, the distance to the nominal posture decreases to 1 / e
-in 1 / 20 of the motion."""
+over the duration of the motion) [-]. At a rate of 20, the distance to the nominal posture decreases
+to 1 / e in 1 / 20 of the motion."""
 _TRACKING_DAMPING, _CORRECTION_DAMPING = 1e-4, 1e-7
 """Damping of two kinds of inverse-kinematics steps when an arm tracks a tool path [m^2].
 
-_TRACKING_DAMPING is that of the first step to each tool pose and, for an arm of six joints, of the
-corrective steps: an error of 1 cm moves the joints by at most 0.5 rad in a step, even at a
-singularity. _CORRECTION_DAMPING is that of the corrective steps of an arm with more joints, and the
-minimum damping of the inverse kinematics."""
+_TRACKING_DAMPING applies to the first step to each tool pose: an error of 1 cm moves the joints by
+at most 0.5 rad in this step, even at a singularity. For an arm of six joints, _TRACKING_DAMPING
+also applies to the corrective steps that follow. For an arm of more joints, corrective steps have
+_CORRECTION_DAMPING, which is also the minimum damping of the inverse kinematics."""
 _MAX_CORRECTIONS, _POSE_TOLERANCE = 4, 1e-4
 """Maximum number of corrective inverse-kinematics steps per tool pose of a tracked path, and pose
 error below which these steps end (largest element of the tool's rotation vector [rad] and
 translation [m] to the pose)."""
 _MAX_STEP_ERROR, _MAX_JUMP = 0.25, 1.0
-"""Limits at one pose of a tracked path: pose error to which a larger one is scaled down before the
-inverse-kinematics step (largest element of the tool's rotation vector [rad] and translation [m] to
-the pose), and displacement of a joint above which the pose counts as out of reach [rad]. Such a
-displacement leads to another branch of the inverse kinematics."""
+"""Limits of the inverse-kinematics steps to one pose of a tracked path.
+
+A pose error above _MAX_STEP_ERROR is scaled down to this limit before the first step (largest
+element of the tool's rotation vector [rad] and translation [m] to the pose). A pose counts as out
+of reach if the steps move a joint by more than _MAX_JUMP [rad], because such a displacement leads
+to another branch of the inverse kinematics."""
 _OUT_OF_REACH = 1e-3
-"""Pose error from which a pose of a tracked path counts as out of reach if the inverse-kinematics
-steps do not reduce the error (largest element of the tool's rotation vector [rad] and translation
-[m] to the pose)."""
+"""Minimum pose error at which a pose of a tracked path counts as out of reach, because the
+inverse-kinematics steps have not reduced the error (largest element of the tool's rotation vector
+[rad] and translation [m] to the pose)."""
 _MAX_STEPS, _IK_TOLERANCE = 60, 1e-6
 """Maximum number of steps of the inverse kinematics from one initial configuration, and maximum
 pose error at a solution (largest element of the tool's rotation vector [rad] and translation [m] to
@@ -65,8 +67,8 @@ _MAX_PATH_ERROR = 5e-3
 """Maximum pose error at which the arm still counts as following a path of the tool (largest element
 of the tool's rotation vector [rad] and translation [m] to the desired pose)."""
 _MIN_DIFFERENCE = 0.1
-"""Minimum difference of at least one joint at which two solutions of the inverse kinematics count
-as distinct [rad]."""
+"""Minimum difference in the position of at least one joint between two distinct solutions of the
+inverse kinematics [rad]. Solutions with a smaller difference count as the same."""
 
 
 class Chain(NamedTuple):
@@ -106,16 +108,16 @@ class Spheres(NamedTuple):
         first: (G + 1,) index of the first sphere of each group; the last element is S.
         group_joint: (G,) index of the last joint that moves each group; -1: the group is fixed to
             the world.
-        bound: (G, 4) center, in the frame of `p_JS`, and radius of a sphere that contains the group
-            [m].
+        bound: (G, 4) center and radius of a sphere that contains the group [m]. The center is in
+            the same frame as the centers `p_JS` of the group's spheres.
         cluster: (G + 1,) index of the first cluster of each group, where a cluster is a set of
             neighboring spheres; the last element is the number C of clusters.
         cluster_first: (C + 1,) index of the first sphere of each cluster; the last element is S.
-        cluster_bound: (C, 4) center, in the frame of `p_JS`, and radius of a sphere that contains
-            the cluster [m].
+        cluster_bound: (C, 4) center and radius of a sphere that contains the cluster [m], in the
+            same frame.
         pairs: (P, 2) indices of two groups that can collide with each other.
-        allowance: (P,) overlap of the spheres of each pair at which the exact shapes of both bodies
-            are still apart [m].
+        allowance: (P,) overlap of the spheres of each pair up to which the exact shapes of both
+            bodies count as apart [m].
     """
 
     joint: IntArray
@@ -200,8 +202,8 @@ def joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
 def check_actuated(plant: MultibodyPlant) -> None:
     """Checks that every joint of a finalized plant that moves has an actuator.
 
-    Joints with an actuator have one degree of freedom. A body that is not welded has a floating
-    joint, which has none.
+    Joints with an actuator have one degree of freedom. A body without a joint to another body
+    gets a floating joint, which has no actuator and is an error, too.
 
     Raises:
         ValueError: naming the first joint that moves without an actuator.
@@ -217,8 +219,9 @@ def check_actuated(plant: MultibodyPlant) -> None:
 
 
 def axis_frame(joint: RevoluteJoint) -> RigidTransform:
-    """Returns the pose X_BJ of a revolute joint's frame J in the child body B of the joint: origin
-    of the joint, with the z axis along the joint axis.
+    """Returns the pose X_BJ of a revolute joint's frame J in the child body B of the joint.
+
+    The origin of J is that of the joint, and the z axis of J is along the joint axis.
     """
     X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
     return X_BM @ RigidTransform(

@@ -14,8 +14,8 @@ _Speed = Annotated[float, Field(gt=0.0, le=100.0)]
 
 
 def _check_stable(ki: float, info: ValidationInfo) -> float:
-    """Checks that the integral gain of a controller is below kp_position kd_position, so that its
-    tracking error decays.
+    """Checks that the integral gain of a controller is 0 or below the product of kp_position and
+    kd_position, so that the tracking error decays.
 
     The error e obeys e'' + kd e' + kp e + ki int e dt = 0, with the position gains kp and kd.
 
@@ -57,8 +57,8 @@ class Gains:
         default=1000.0, ge=0.0, le=1e6
     )
     """Integral gain of the position error: of each joint in JointInverseDynamics, of the tool in
-    CartesianInverseDynamics [1/s^3]. It must be below kp_position kd_position; 0: no integral
-    action. Raising it removes steady-state errors sooner, with more oscillation."""
+    CartesianInverseDynamics [1/s^3]. It must be 0 (no integral action) or below kp_position times
+    kd_position. Raising it removes steady-state errors sooner, with more oscillation."""
     kp_orientation: float = Field(default=400.0, ge=0.0, le=1e5)
     """Proportional gain of the tool's orientation error [1/s^2]. Raising it reduces the tracking
     error."""
@@ -71,15 +71,15 @@ class Gains:
     """Derivative gain of the error from the nominal posture, in the null space of the tool's motion
     [1/s]. Raising it increases the damping."""
     max_effective_mass: float = Field(default=100.0, gt=0.0, le=1e12)
-    """Effective mass of the tool in a direction above which the force that accelerates the tool in
-    this direction is damped [kg]. The effective mass grows near singularities. Raising the limit
-    gives exact tracking closer to singularities, with faster joints."""
+    """Limit of the tool's effective mass [kg]. In a direction of larger effective mass, the force
+    that accelerates the tool is damped. The effective mass grows near singularities. Raising the
+    limit gives exact tracking closer to singularities, with faster joints."""
     rotation_length: float = Field(default=0.25, gt=0.0, le=10.0)
     """Length that converts rotations of the tool to distances, so that `max_effective_mass` applies
     to rotations, too [m]. Raising it gives exact tracking of rotations closer to singularities."""
     kd_stop: float = Field(default=10.0, gt=0.0, le=1e4)
-    """Damping of each joint that brakes the arm while the torques of the control law are not
-    finite, because an input is not [1/s]. Raising it stops the arm sooner."""
+    """Damping of each joint that brakes the arm while an input of the controller is not finite, so
+    that the control law gives no finite torques [1/s]. Raising it stops the arm sooner."""
 
 
 @dataclass(config=BLOCK)
@@ -140,8 +140,8 @@ class Robot:
     axis, so that the hand is narrow along the world's y axis."""
     q_seed: list[float] = Field(default=[-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608])
     """Configuration of the arm [rad], used as the initial guess of the inverse kinematics and as
-    the nominal posture, to which the null space is attracted. The joints of the arm are the first
-    joints of the model."""
+    the nominal posture, which the arm approaches in the null space of the tool's motion. The joints
+    of the arm are the first joints of the model."""
     joint_speed: list[_Speed] | None = None
     """Maximum speed of each joint of the arm, which may only reduce the limit of the model [rad/s];
     null: the limits of the model. Raising it allows faster motions."""

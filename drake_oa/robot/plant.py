@@ -299,8 +299,8 @@ def _check_joints(plant: MultibodyPlant, arm: Sequence[RevoluteJoint]) -> None:
 
     Raises:
         ValueError: if no joint moves the tool, if the joints of the arm are not the first ones of
-            the plant, if a joint has no actuator or a speed limit of 0, or if the child link of a
-            joint has no mass, together with the links that are welded to it.
+            the plant, if a joint has no actuator or a speed limit of 0, or if a joint moves a link
+            without mass. The mass of a link includes the links that are welded to it.
     """
     if not arm:
         raise ValueError("no joint between robot.base_link and robot.hand_link moves")

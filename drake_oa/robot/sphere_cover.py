@@ -42,25 +42,26 @@ _N_SURFACE_POINTS = 600
 """Approximate number of sample points on the surface of each shape of a body, which the spheres
 must cover."""
 _EDGE_SPACING = 2.7
-"""Ratio of the lattice spacing of candidate sphere centers, before it is divided by 1, 2 or 3, to
-the requested protrusion of the spheres from the body [-]. Below 2 sqrt(2), spheres along the edge
-of a box cover the edge. The spacing is larger if there would be more than `_MAX_CENTERS` centers.
-"""
+"""Lattice spacing of candidate sphere centers, relative to the requested protrusion of the spheres
+from the body [-]. If this ratio is below 2 sqrt(2), spheres along the edge of a box cover the edge.
+The spacing is then divided by 1, 2 or 3, so that the fewest spheres are required. It is larger if
+there would be more than `_MAX_CENTERS` centers."""
 _MAX_ITERATIONS = 4
-"""Maximum number of times that the spheres covering a body are selected again, with uncovered
-points of the body added to the sample points; then the spheres grow until they cover it."""
+"""Maximum number of repetitions of the selection of spheres that cover a body. Before each
+repetition, uncovered points of the body are added to the sample points. After the last one, the
+spheres grow until they cover the body."""
 _INITIAL_CELLS = 40
-"""Ratio of a body's longest extent to half the edge of the initial cubic cells, into which the body
-is divided to prove that spheres cover it [-]."""
+"""Twice the number of initial cubic cells along a body's longest extent [-]. The body is divided
+into cells to prove that spheres cover it."""
 _MAX_GAPS = 300
-"""Number of uncovered points of a body above which the proof that spheres enclose the body stops,
-and the spheres are selected again."""
+"""Maximum number of uncovered points in the proof that spheres enclose a body. If more are found,
+the proof ends early, and the spheres are selected again."""
 _MIN_CELL_RATIO = 1.0 / 16.0
-"""Ratio of half the edge of the smallest cubic cells, into which a body is divided to prove that
-spheres cover it, to the requested protrusion of the spheres from the body [-]."""
+"""Half the edge of the smallest cubic cells, relative to the requested protrusion of the spheres
+from the body [-]. The body is divided into cells to prove that spheres cover it."""
 _PROTRUSION_GROWTH = 1.2
-"""Factor by which the requested protrusion of the spheres from a body grows while more than the
-maximum number of spheres would be required [-]."""
+"""Factor by which the requested protrusion of the spheres from a body is multiplied, if necessary
+several times, until the maximum number of spheres suffices [-]."""
 _DIGITS = 9
 """Number of decimals of lengths [m] in the cache key of a body's sphere cover, so that rounding
 errors do not change the key."""
@@ -289,10 +290,10 @@ def _select_balls(
     Args:
         geometries, scene: shapes of the body, as a sequence and as arrays.
         protrusion: requested protrusion of the balls from the shapes [m].
-        min_half: half the edge of the smallest cubic cells by which the caller later checks that
-            the balls cover the shapes [m]. The radii are smaller by half the diagonal of such a
-            cell, so that balls that cover the sample points, and are then enlarged by it, can
-            cover the cells around the points.
+        min_half: half the edge of the smallest cubic cells by which `compute_cover` later checks
+            that the balls cover the shapes [m]. The radii are reduced by half the diagonal of such
+            a cell. Afterwards `compute_cover` enlarges the balls by the same length, so that a ball
+            that contains a sample point also contains a cell around this point.
         refinement: number of parts into which the spacing of the lattice of candidate centers is
             divided.
         points: (N, 3) sample points in the frame of the body [m].

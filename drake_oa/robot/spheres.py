@@ -38,9 +38,9 @@ _N_SAMPLES = 2000
 """Number of random configurations at which each pair of bodies is tested for collision, to find
 pairs that are always in contact, and the allowed overlap of the spheres of other pairs."""
 _LOW_QUANTILE = 0.05
-"""Level of a quantile of the difference between two distances of a pair of bodies, that of their
-exact shapes minus that of their covering spheres, over random configurations [-]. The allowed
-overlap of the spheres is computed from this quantile."""
+"""Level of the quantile from which the allowed overlap of two bodies' spheres is computed [-]. The
+quantile is that of the distance between the exact shapes minus the distance between the spheres,
+over the random configurations at which the spheres overlap and the shapes do not."""
 _MAX_SPHERES = 200
 """Maximum number of spheres that cover one body; their protrusion from the body grows if more would
 be required."""
@@ -51,11 +51,12 @@ _SOURCE = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 """Digest of this source file, a part of the cache key of sphere models. After a change of the
 algorithm, all models are therefore computed again."""
 _CONTACT_FRACTION = 0.95
-"""Minimum fraction of the sampled configurations with contact between two bodies at which the
-bodies count as always in contact, so that their pair is ignored [-]."""
+"""Minimum number of sampled configurations with contact between two bodies that count as always in
+contact, as a fraction of all samples [-]. The pair of these bodies is ignored."""
 _OVERLAP_FRACTION = 0.02
-"""Minimum fraction of the sampled configurations in which the covering spheres of two bodies
-overlap, but not their exact shapes, at which an overlap of the spheres is allowed [-]."""
+"""Minimum number of sampled configurations from which an allowed overlap of two bodies' spheres is
+computed, as a fraction of all samples [-]. Configurations are counted at which the spheres overlap
+and the exact shapes do not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,13 +264,13 @@ def _filter_pairs(
     Random configurations are sampled, as in MoveIt's setup assistant. If the spheres of a pair
     overlap at a configuration, Drake's SceneGraph computes the distance of the exact shapes. A pair
     whose shapes are in contact at 95 % or more of the configurations is removed. The allowance is
-    positive only if the spheres overlap without contact of the shapes at 2 % or more of them. With
-    delta, the distance of the exact shapes minus the distance of the spheres at the configurations
-    with such an overlap, it is
+    0 if the spheres overlap without contact of the shapes at less than 2 % of the configurations.
+    Otherwise let delta be the distance of the exact shapes minus the distance of the spheres, at
+    each configuration with such an overlap. The allowance is then
 
         max(0, min delta - (5 % quantile of delta - min delta))
 
-    The second term is a margin for configurations that were not sampled.
+    The difference in parentheses is a margin for configurations that were not sampled.
 
     Args:
         robot: plant of the robot alone.

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from open3d.geometry import TriangleMesh
 
 _ADDED_VOLUME = 0.1
-"""Maximum volume that one convex hull of a whole mesh may add, relative to the volume of the hulls
-of its closed surfaces [-]. Beyond it, each closed surface has its own hull."""
+"""Maximum additional volume at which a mesh has one convex hull, instead of one hull per closed
+surface [-]. The additional volume is the increase from the total volume of the separate hulls to
+that of the one hull, relative to the former."""
 
 
 def convert_to_objs(mesh: Path, *, hulls: bool) -> list[Path]:
