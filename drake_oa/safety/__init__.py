@@ -10,19 +10,23 @@ In:  robot_state (2m,) [rad, m, rad/s, m/s]; desired motion of the tool; desired
 Out: desired_joint_state (2n,) [rad, rad/s] and desired_joint_acceleration (n,) [rad/s^2] for
      `JointInverseDynamics`. For `DmpIntegrator`: speed_scale, the fraction of full speed in [0, 1],
      and evasion_velocity (3,), the velocity in the world that moves the desired position to the
-     tool of a stuck arm [m/s]. supervision `Supervision`: run, slow, hold or stop, and the reason.
+     tool of a stuck arm [m/s]. An arm is stuck after 1 s without progress toward the verified
+     motion. supervision `Supervision`: run, slow, hold (rest until the cause ends) or stop (rest,
+     as the cause is not expected to end), and the reason.
 
 System
     MotionGuard   commands in steps of 8 ms; one decision per observation
 
 Method
-    While no contact is predicted on the verified motion at full speed, the arm follows it, with the
-    tool at the desired pose. Otherwise a decision compares it with slower motions and with evasive
-    maneuvers. A maneuver is a joint trajectory of two legs; in a leg, every joint moves to a target
-    and rests there. It is predicted over 1.34 s, among obstacles at constant velocity. The phase of
-    the movement primitive rests during a maneuver. Saturated torques, and an observation older than
-    `stale_frames` periods (2.5 by default), slow the motion down. A contact, detected by the joint
-    error, restarts the command at the measured configuration.
+    The arm follows the verified motion at full speed, with the tool at the desired pose, while
+    neither contact, nor proximity to moving obstacles, nor a violation of passive motion safety is
+    predicted. Otherwise a decision compares this motion at several speeds and, if obstacles move,
+    evasive maneuvers. A maneuver is a joint trajectory of two legs; in a leg, every joint moves to
+    a target and rests there. Trajectories are predicted over 1.34 s, among obstacles
+    at constant velocity. During a maneuver, normalized time s does not advance. Saturated torques,
+    and an observation older than `stale_frames` periods (2.5 by default), slow the motion down. A
+    contact is detected by the joint error. The guard then commands the arm to rest at its measured
+    configuration.
 
 Modules: `motion_guard` (system), `maneuvers` (decision), `joint_motions` (kernels of joint
 trajectories), `passive_safety` (limits of the speed toward moving obstacles and unobserved space),

@@ -29,8 +29,8 @@ _VELOCITY_DAMPING = 1e-4
 """Damping of the differential inverse kinematics that computes joint velocities from the desired
 tool velocity [m^2]."""
 _CONTACT_DEPTH = 0.03
-"""Violation of the required clearance at which the cost of a predicted contact is twice that of a
-violation of 0 [m]."""
+"""Depth of a predicted contact at which its cost is twice that of a contact without depth [m]. The
+depth is the amount by which the required clearance is violated."""
 _LIMIT_TOLERANCE = 1e-3
 """Violation of a joint limit that is tolerated in predicted trajectories as an interpolation error
 [rad]. A larger violation counts as a contact."""
@@ -199,9 +199,9 @@ _RESTING_MARGIN = 0.03
 """Distance beyond the required clearance to resting obstacles within which a trajectory is
 penalized for proximity [m]."""
 _MARGIN_GROWTH = 0.1
-"""Growth rate, with the prediction time, of the distance from moving obstacles within which a
-predicted trajectory is penalized for proximity [m/s]. Predictions become less accurate with time.
-"""
+"""Rate at which the margin for moving obstacles grows with the prediction time, because predictions
+become less accurate [m/s]. A predicted trajectory is penalized for proximity if it is closer to an
+obstacle than the required clearance plus this margin."""
 _CONTACT_DECAY = 0.8
 """Time constant with which the costs of contact and of proximity to moving obstacles decrease with
 the prediction time [s]."""
@@ -210,17 +210,18 @@ the prediction time [s]."""
 class MotionCosts(NamedTuple):
     """Costs of predicted contact and proximity of N joint trajectories, each an array (N,).
 
-    Let d(t) be the clearance margin at time t: distance to obstacles (moving, resting, or both)
-    minus required clearance. With T = 0.8 s, D = 30 mm and the time t_1 of the first contact, at
-    which the integrals end,
+    Let d(t) be the clearance margin at time t: distance to obstacles minus required clearance, at
+    the obstacle where this is least. `contact` is computed from all obstacles, `near_moving` from
+    the moving ones, and `near_resting` from the resting ones. The integrals end at the time t_1 of
+    the first contact. With T = 0.8 s and D = 30 mm,
 
         contact      = T exp(-t_1 / T) (1 + min(-d(t_1) / D, 3))
         near_moving  = integral of exp(-t / T) max(1 - d(t) / (margin + 0.1 m/s t), 0)^2 dt
         near_resting = integral of max(1 - d(t) / 30 mm, 0)^2 dt
 
-    where margin is the parameter `margin_moving` of the motion guard. Links that are closer to each
-    other than required also count as contact, with their margin as d, and so does a joint more than
-    1e-3 rad beyond its limit, with d = -D.
+    where margin is the parameter `margin_moving` of the motion guard. Two other events also count
+    as contact. If two links are closer to each other than required, d is their distance minus the
+    required one. If a joint is more than 1e-3 rad beyond its limit, d is -D.
 
     Attributes:
         contact: cost of the first contact [s]; 0: no contact.

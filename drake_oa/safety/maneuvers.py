@@ -9,13 +9,15 @@ these. The trajectory with the least cost
 
     J = w_c contact + w_m near_moving + w_r near_resting + w_o turn + delay
 
-is selected, with hysteresis for the current maneuver. `contact`, `near_moving` and `near_resting`
-are the costs of the first contact and of proximity to moving and resting obstacles (equations in
-`joint_motions.MotionCosts`). `turn` is the integral of the angle between the tool and its
-orientation on the verified motion. `delay` is the time lost on this motion. Obstacles move at
-constant velocity, and the margin to them grows with time. Every trajectory can come to rest: the
-phase of a followed motion can stop within `policy.hold_time`, and in each leg of a maneuver every
-joint moves to a target and rests there.
+is selected, with constant weights w. The maneuver in progress has a slightly lower cost, so that
+the selection does not alternate. `contact`, `near_moving` and `near_resting` are the costs of the
+first contact and of proximity to moving and resting obstacles (equations in
+`joint_motions.MotionCosts`). `turn`, 0 except in maneuvers, is the time integral of the angle by
+which the tool is turned from its orientation on the verified motion. `delay` is the time lost on
+this motion. Obstacles are predicted at constant velocity, and the margin to them grows with the
+prediction time. Every trajectory can come to rest: on the verified motion, s can stop advancing
+within `policy.hold_time`, and in each leg of a maneuver every joint moves to a target and rests
+there.
 """
 
 from __future__ import annotations
@@ -60,8 +62,8 @@ _FOLLOW_OPTIONS: tuple[tuple[Action, float], ...] = (
 its speed scale: the fraction of full speed."""
 HORIZON = 1.4
 """Approximate time over which the motion guard predicts the trajectories of the arm and of
-obstacles [s]. The interval of the 28 samples is rounded to whole time steps: with steps of 8 ms it
-is 48 ms, and the predicted time 1.34 s."""
+obstacles [s]. It is divided into 28 intervals, which are rounded to whole time steps. With steps of
+8 ms, an interval is 48 ms, and the predicted time is 1.34 s."""
 _SAMPLES = 28
 """Number of configurations at which each predicted trajectory of the arm is checked for contact and
 proximity [-]."""
@@ -81,24 +83,27 @@ _TURN_STRIDE = 2
 """Interval, in samples of a trajectory, at which the tool's orientation is evaluated [-]; 2: at
 every second sample."""
 _HYSTERESIS = 0.1
-"""Maximum reduction of the cost of the maneuver in progress, so that the motion guard selects
-another one only for a clear advantage [s]."""
+"""Maximum bonus of the maneuver in progress, subtracted from its cost so that the motion guard
+selects another one only for a clear advantage [s]. The bonus is smaller if the arm can return to
+the verified motion (checked by simulation) in less than 0.5 s."""
 _MOVING_CONTACT_DISTANCE = 0.012
-"""Distance from the arm to a moving obstacle, beyond the obstacle's padding (position uncertainty),
-below which a predicted trajectory counts as a contact, unless the arm is already closer [m]."""
+"""Distance from the arm to a padded moving obstacle below which a predicted trajectory counts as a
+contact, unless the arm is already closer [m]. A padded obstacle is enlarged by its position
+uncertainty."""
 _RESTING_CONTACT_DISTANCE = 0.004
 """Distance to a resting obstacle below which a predicted trajectory counts as a contact, unless the
 arm is already closer, or comes closer on the verified motion (checked by simulation) [m]."""
 _DISTANCE_SLACK = 2e-3
-"""Amount by which required distances are lowered below those of the current configuration, so that
-no trajectory starts in contact [m]. Also the tolerance of the maximum angle by which a maneuver
-turns the tool [rad]."""
+"""Amount by which an arm that is closer than required may come still closer, so that no trajectory
+starts in contact [m]. The required distance is then the current one minus this amount. Also the
+tolerance of the maximum angle by which a maneuver turns the tool [rad]."""
 _ROUNDING = 1e-6
-"""Amount by which a distance required in a maneuver is lowered if it is the distance in the current
-configuration, so that rounding errors cause no contact [m]."""
+"""Tolerance of a maneuver that must not come closer to an obstacle or link than the current
+configuration [m]. With it, rounding errors cause no contact."""
 _VERIFIED_SLACK = 5e-3
-"""Amount by which distances required from resting obstacles are below those along the verified
-motion (checked by simulation), so that this motion does not count as a contact [m]."""
+"""Amount by which the arm may come closer to resting obstacles than on the verified motion (checked
+by simulation), so that this motion does not count as a contact [m]. Where necessary, the required
+distance is reduced to the minimum along the verified motion minus this amount."""
 _SELF_CLEARANCE = 5e-3
 """Required distance between links of the arm in a maneuver, unless they are closer to each other in
 the current configuration or on the verified motion (checked by simulation) [m]."""
@@ -111,31 +116,34 @@ decays while the arm follows this motion [1/s]."""
 _LIMIT_MARGIN = 0.03
 """Minimum distance of the target configurations of maneuvers from the joint limits [rad]."""
 _SPREADS = ((0.15, 0.4, 0.9), (0.4, 1.0), (0.2, 0.5), (0.0,))
-"""Standard deviations of the joint offsets in the targets of random maneuvers [rad], a tuple for
-each of four kinds; one value of its kind is drawn for each maneuver.
+"""Standard deviations of random joint offsets that define the targets of random maneuvers [rad]: a
+tuple for each of four kinds of target. Each maneuver has one value of a tuple, drawn at random.
 
-Offsets of the first kind (in all joints) and the second (in some) are relative to the configuration
-in which the arm would rest after full braking from its present state. Those of the third kind are
-relative to a point on the way from there to the verified motion (checked by simulation). Targets of
-the fourth kind are drawn uniformly within the joint limits, and its value 0 has no effect."""
+The first kind adds offsets in all joints to the configuration in which the arm would rest after
+full braking. The second kind adds offsets in some joints to this rest configuration. The third kind
+adds offsets to a configuration between the rest configuration and the verified motion (checked by
+simulation). The fourth kind is drawn uniformly within the joint limits; the value 0 is unused."""
 _NO_LEGS = Legs(np.zeros((0, 2, 0)), np.zeros((0, 2, 0)), np.zeros(0))
 """Empty set of maneuvers, which are joint motions of two legs each."""
 _N_PARENTS = 8
-"""Number of maneuvers of least cost of which the motion guard evaluates random variations, too [-].
-"""
+"""Number of parent maneuvers [-]: the motion guard also evaluates random variations of the cheapest
+maneuvers."""
 _RETURN_FRACTIONS = (1.0, 0.6, 0.3)
-"""Fractions of the highest joint speeds with simultaneous arrival, at which candidate maneuvers
-return to the verified motion (checked by simulation) [-]. In a further candidate, no point of the
-arm begins to return faster than 0.9 `v_unseen`, with the maximum speed `v_unseen` toward unobserved
-space."""
+"""Speeds of the candidate maneuvers that return to the verified motion (checked by simulation), as
+fractions of the highest speeds at which all joints arrive at the same time [-]. In a further
+candidate, no point of the arm begins to return faster than 0.9 `v_unseen`, where `v_unseen` is the
+maximum speed toward unobserved space."""
 _SLOW_FRACTION = 0.9
-"""Ratio of the speed of the arm's fastest point to `v_unseen`, the maximum speed toward unobserved
-space, in two slow candidates: to follow the verified motion (checked by simulation), and to return
-to it [-]. The ratio holds at the start; it is less than 1, since the speed changes on the way."""
+"""Maximum initial speed of the arm's fastest point in two slow candidates, relative to `v_unseen`,
+the maximum speed toward unobserved space [-]. One candidate follows the verified motion (checked by
+simulation), the other returns to it. The ratio is less than 1, since the speed changes on the way.
+
+The same value limits the speed of the first candidate relative to full speed, and that of the
+second relative to the fastest return."""
 _MAX_CLAIM_WORK = 42
-"""Number of checks for passive motion safety after which a decision checks only braking and the
-slow return to the verified motion (checked by simulation), so that its simulated compute latency is
-below the period of 33 ms [-].
+"""Number of checks for passive motion safety after which a decision discards the other unchecked
+trajectories and only checks braking and the slow return to the verified motion (checked by
+simulation) [-]. The simulated compute latency of the decision is thus below the period of 33 ms.
 
 A check of the speed toward moving obstacles counts as one, toward unobserved space as three."""
 _VIOLATION_COSTS: dict[Claim, float] = {"": 0.0, "A": 6.0, "B": 4.0}
@@ -145,8 +153,8 @@ than the cost of any predicted contact.
 "A": a part of the arm that a moving obstacle may reach rests or moves away from it. "B": no part is
 faster than `v_unseen` toward unobserved space from which an obstacle may reach it."""
 _BRAKE_SAMPLES = 8
-"""Number of configurations along the braking motion that are checked for passive motion safety, if
-the arm brakes after one decision period [-]."""
+"""Number of configurations of a braking motion that are checked for passive motion safety [-]. The
+braking motion begins after one decision period on the checked trajectory."""
 ON_PATH_DEVIATION = 0.01
 """Maximum joint deviation from the verified motion (checked by simulation) at which the arm may
 leave a maneuver and follow this motion again [rad]."""
@@ -173,9 +181,9 @@ class GuardDecision(Frozen):
         contact: simulation time of the first contact predicted on the verified motion at full speed
             [s]; inf: no contact, or the arm is not on this motion.
         obstacle: label of the moving obstacle that is nearest to the arm; "": no obstacle moves.
-        claim: claim of passive motion safety that the trajectory of least cost violates, before
-            costs of violations are added: "A" (limit of the speed toward moving obstacles), "B"
-            (toward unobserved space), or "" (none).
+        claim: violated claim of passive motion safety: "A" (limit of the speed toward moving
+            obstacles), "B" (toward unobserved space), or "" (none). The violating trajectory is
+            that of least cost without the costs of violations; another one may be selected.
     """
 
     action: Action = "follow"
@@ -222,20 +230,21 @@ class GuardInputs(Frozen):
     Attributes:
         begin: time at which the decision becomes active [s].
         q, v: (n,) predicted positions [rad] and velocities [rad/s] of the joints at `begin`.
-        q_path: (n,) configuration on the verified motion to which maneuvers return [rad]: `q` while
-            the arm follows this motion; during a maneuver, that at the resting phase of the
-            movement primitive.
+        q_path: (n,) configuration on the verified motion to which maneuvers return [rad]. While the
+            arm follows this motion, it is `q`. During a maneuver, it is the configuration at the
+            phase of the movement primitive, which does not advance.
         is_on_path: whether the arm follows the verified motion, or rests on it.
-        s: predicted normalized time on the verified motion at `begin`, from `time_on_path`; if the
-            sample of the motion nearest to q is less than half as far from q as the configuration
-            at the predicted time, the time of this sample.
+        s: normalized time on the verified motion at `begin`, predicted from the movement primitive.
+            If the arm is late, it is the time of the motion's sample nearest to q instead (see
+            `time_on_path`).
         rate, full_rate: ds/dt at the current and at full speed [1/s].
         motion: verified motion; without configurations: no motion is verified.
         scene: collision scene, all collision geometry except the robot's.
         speed_fraction: fraction of the maneuvers' joint speed limits that may be used; 1 unless a
             contact occurred less than `contact_time` (0.5 s by default) ago.
-        decision_count: number of previous decisions, which seeds the random candidates.
-        free_space: space observed as free; None: all space outside collision geometry.
+        decision_count: number of previous decisions, a part of the seed of random candidates.
+        free_space: space observed as free; None: all space outside collision geometry counts as
+            free.
         may_move: (K,) whether each geometry of the scene moves, or moved less than 2 s ago.
     """
 
@@ -486,8 +495,9 @@ class GuardSearch:
         """Computes the costs (N,) [s] of N maneuvers: the weighted sum of the costs of contact,
         proximity, turning the tool, and delay.
 
-        The cost is inf if the tool turns away from its orientation on the verified motion (checked
-        by simulation) by more than `turn_limit`, or than the present angle if that is larger.
+        The cost is inf if the tool turns too far away from its orientation on the verified motion
+        (checked by simulation). The maximum angle is the larger one of `turn_limit` and the present
+        angle.
 
         Args:
             model: collision models of the decision.
@@ -503,9 +513,9 @@ class GuardSearch:
         """Computes the costs (N,) of the delay of N maneuvers, the time lost on the verified motion
         (checked by simulation) [s].
 
-        With the time d_i(t) in which joint i can move from its position at time t to `q_path`, the
-        configuration to return to, at its maximum speed in maneuvers, and the horizon H, the cost
-        is
+        At time t of the maneuver, joint i requires the time d_i(t) to return to its position in
+        `q_path`, a configuration on the verified motion, at the maximum speed of maneuvers. With
+        the horizon H, the cost is
 
             H + max_i d_i(H) + 0.3 mean_i d_i(H) + integral of max_i d_i(t) dt / (1 second)
 
@@ -608,7 +618,11 @@ class GuardSearch:
 
     def brake(self, q: FloatArray, v: FloatArray, *, speed_fraction: float = 1.0) -> GuardDecision:
         """Returns the maneuver in which all joints brake to rest from positions q (n,) [rad] and
-        velocities v (n,) [rad/s], at most at a fraction of the maneuvers' maximum joint speeds.
+        velocities v (n,) [rad/s].
+
+        Args:
+            q, v: joint positions and velocities.
+            speed_fraction: maximum joint speeds, as a fraction of those of maneuvers.
         """
         q_rest, speed = self.stop(q, v), speed_fraction * self.speed
         return GuardDecision("brake", 0.0, np.array([q_rest, q_rest]), np.array([speed, speed]))
@@ -617,10 +631,11 @@ class GuardSearch:
         """Generates the candidate maneuvers of a decision: given ones, the return to the verified
         motion (checked by simulation), and random ones.
 
-        The return begins at once, at one of four speeds, or after 0.3 s or 0.6 s of braking. The
-        target of a random maneuver is near the configuration in which the arm comes to rest, in all
-        joints or in some; near the motion from there to the verified motion; or anywhere within the
-        joint limits. Half of the random maneuvers return to the verified motion in the second leg.
+        Six candidates return: four at once, at different speeds, and two after 0.3 s and 0.6 s of
+        braking. The target of a random maneuver is near the configuration in which the arm comes to
+        rest, in all joints or in some; near the motion from there to the verified motion; or
+        anywhere within the joint limits. About half of the random maneuvers return to the verified
+        motion in the second leg.
 
         Args:
             maneuvers: first candidates: the active maneuver, if any, and braking.
@@ -656,11 +671,12 @@ class GuardSearch:
         return Legs(*map(np.concatenate, zip(first, (targets, speeds, switch), strict=True)))
 
     def _slow_fraction(self, q: FloatArray) -> float:
-        """Computes the fraction of the present speed at which no point of the arm is faster than
+        """Computes the factor that slows a motion down so that no point of the arm is faster than
         0.9 `v_unseen`, with the maximum speed `v_unseen` toward unobserved space; at most 0.9.
 
         Args:
-            q: (2, n) configurations at the present speed, one time step apart [rad].
+            q: (2, n) configurations of the motion before it is slowed down, one time step apart
+                [rad].
         """
         step = np.diff(sphere_centers(self._chain, self._arm_spheres.arrays, q), axis=0)
         point_speed = float(np.linalg.norm(step, axis=2).max()) / self._step
@@ -687,8 +703,11 @@ class GuardSearch:
 
 
 def _evasion(legs: Legs, k: int) -> GuardDecision:
-    """Returns maneuver k of N maneuvers, whose switch times are absolute [s], as a decision of the
-    motion guard with the action "evade".
+    """Returns maneuver k of N maneuvers as a decision of the motion guard with the action "evade".
+
+    Args:
+        legs: N maneuvers, with simulation times [s] as switch times.
+        k: index of the maneuver.
     """
     return GuardDecision("evade", 0.0, legs.target[k], legs.speed[k], float(legs.switch[k]))
 
@@ -697,12 +716,12 @@ def _synchronized_speeds(
     q: FloatArray, target: FloatArray, speed: FloatArray, fraction: FloatArray | float
 ) -> FloatArray:
     """Computes joint speeds (..., n) [rad/s] at which all joints of the arm reach a target at the
-    same time.
+    same time; at least 0.02 rad/s.
 
     Args:
         q, target: (..., n) current and target configuration [rad].
         speed: (n,) maximum joint speeds [rad/s].
-        fraction: fraction of the fastest synchronized speeds, in (0, 1].
+        fraction: ratio of the result to the highest such speeds, in (0, 1].
     """
     distance = np.abs(target - q)
     seconds = np.maximum((distance / speed).max(axis=-1, keepdims=True), 1e-3) / fraction
@@ -718,7 +737,7 @@ def _sample_motion(motion: PlannedMotion) -> FloatArray:
 
 def achievable_distance(required: float, present: FloatArray) -> FloatArray:
     """Computes the distances between arm and obstacles, or between links, that are required in a
-    maneuver; they are reduced where the present distance is smaller.
+    maneuver. Where the present distance is small, the required distance is reduced.
 
     r(d) = min(r_0, max(d - 2 mm, min(d, r_0 / 2))): close to r_0, a maneuver may reduce the
     distance by 2 mm, but no sequence of maneuvers reduces it below r_0 / 2.
@@ -738,17 +757,19 @@ class _GuardModel:
     """Collision models of one decision of the motion guard: one model for resting and one for
     moving obstacles.
 
-    The arm is covered by spheres in groups, one group per body. The distance of group g to geometry
-    k is d_gk(q), and protrusion_g is the distance by which the spheres extend beyond their body.
-    The position uncertainty of moving obstacles is `padding`. The required clearances are
+    The required clearance is 4 mm from resting obstacles, and 12 mm plus `padding` from moving
+    ones, with their position uncertainty `padding`. It is reduced where the arm is already closer
+    in the current configuration q_now. It is also reduced where the verified motion (checked by
+    simulation) passes closer to resting obstacles. The arm is covered by spheres in groups, one
+    group per body. Let d_gk(q) be the distance of group g to geometry k, and protrusion_g the
+    distance by which the spheres extend beyond their body. The required clearances are
 
         resting:  min( r(d_gk(q_now)),
                        max( min over verified motion of d_gk - 5 mm, -protrusion_g ) )
         moving:   min( padding + 12 mm, d_gk(q_now) - 2 mm )
 
-    with r(d) = min(r_0, max(d - 2 mm, min(d, r_0 / 2))) for r_0 = 4 mm, so that a maneuver never
-    requires more than the current configuration q_now or the verified motion (checked by
-    simulation) achieves. The required distance between links is reduced likewise, from r_0 = 5 mm.
+    with r(d) = min(r_0, max(d - 2 mm, min(d, r_0 / 2))) for r_0 = 4 mm. The required distance
+    between links is reduced likewise, from r_0 = 5 mm.
 
     Attributes:
         inputs: state of the arm, scene and verified motion for the guard's decision.

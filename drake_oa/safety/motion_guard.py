@@ -64,12 +64,12 @@ _NULL_SPACE_RATE = 20.0
 """Rate at which the null space of the arm converges to the nominal posture while the tool tracks
 the desired motion [1/s]."""
 _SHIFT_TIME = 0.1
-"""Time constant with which the desired position of the tool converges to its commanded position, if
-the arm cannot return to its motion [s]."""
+"""Time constant with which the desired position of the tool converges to the commanded one while
+the arm is stuck, that is, cannot return to the verified motion (checked by simulation) [s]."""
 _SHIFT_TOLERANCE = 5e-4
-"""Distance along each world axis within which the desired position of the tool no longer moves to
-its commanded position, if the arm cannot return to its motion [m]. Replanning then has a fixed
-start."""
+"""Maximum distance along each world axis at which the desired position of the tool counts as equal
+to the commanded one while the arm is stuck [m]. The desired position then stops moving, so that
+replanning has a fixed start."""
 _PROGRESS_TIMEOUT = 1.0
 """Time without progress of a maneuver toward the verified motion (checked by simulation) after
 which the arm counts as stuck [s]."""
@@ -86,15 +86,16 @@ _POSE_TOLERANCE = 0.03
 """Maximum error between desired and commanded tool pose at which an arm that was stuck may follow
 the desired motion again: largest element of position [m] and rotation vector [rad]."""
 _FEEDBACK_FRACTION = 0.6
-"""Ratio of the thresholds of two errors above which a contact is detected [-]: that of
-|e + (kd / kp) de/dt|, which is proportional to the feedback torque, to that of |e|, with the
-position error e of a joint and the gains kp and kd of the joint controller."""
+"""Threshold of |e + (kd / kp) de/dt| for the detection of a contact, relative to the threshold of
+|e| [-]. Here e is the position error of a joint, and kp and kd are the gains of the joint
+controller. The first expression is proportional to the feedback torque."""
 _MAX_PERIODS = 3.0
-"""Number of decision periods without a newer active decision of the motion guard, after which the
-motion is held, or a maneuver is replaced by braking [-]."""
+"""Number of decision periods after which a decision of the motion guard is too old, if no newer one
+has become active [-]. The arm then stops on the verified motion (checked by simulation), or brakes
+if it executes a maneuver."""
 _PAUSE = 2.0
-"""Time for which an obstacle that has come to rest still counts as moving when the speed of the arm
-toward it is limited (claim (A) of passive motion safety), because it may move again [s]."""
+"""Time for which an obstacle that has come to rest still counts as moving, because it may move
+again [s]. It then limits the speed of the arm by claim (A) of passive motion safety."""
 _VERBS = {"slow": "slows", "hold": "holds", "stop": "stops"}
 """Verbs of the actions slow, hold and stop in log messages."""
 
@@ -116,14 +117,14 @@ class GuardState(Frozen):
         shift_velocity: (3,) velocity in the world that moves the desired position to the tool of a
             stuck arm [m/s]; 0 otherwise.
         pending: active decision of the guard, and the next one while it is computed.
-        stuck_since: time of the last progress of a maneuver toward the verified motion [s]; the arm
-            is stuck 1 s later. inf: no maneuver is active, it has reached this motion, or the wait
-            of a stuck arm has ended.
+        stuck_since: time of the last progress of a maneuver toward the verified motion [s]; 1 s
+            later, the arm is stuck. inf: no maneuver is active, the maneuver has reached this
+            motion, or a stuck arm no longer waits for a new motion.
         min_deviation: maximum joint deviation from the verified motion at `stuck_since`, from which
             progress is measured [rad].
         expiry: time after which the active decision is too old, so that the arm comes to rest [s].
-        slow_until: time until which, after a contact, maneuvers move no point of the arm faster
-            than `v_unseen`, and the verified motion is held [s].
+        slow_until: end time of the reaction to a contact [s]. Until then, maneuvers move no point
+            of the arm faster than `v_unseen`, and the arm does not advance on the verified motion.
         decision_count: number of decisions so far.
         supervision: state of the supervisor, which scales the speed of the motion.
         last_moved: label of each geometry that moved less than 2 s ago -> stamp of the last
@@ -177,7 +178,8 @@ class GuardState(Frozen):
         """Whether the joint command follows the verified motion (checked by simulation), or rests
         within 0.01 rad of it while the arm is not stuck.
 
-        At rest, the joint speeds, absolute and relative to this motion, are at most 0.1 rad/s.
+        The arm counts as at rest if its joint speeds are at most 0.1 rad/s, both absolute and
+        relative to the verified motion.
         """
         q, v = np.split(np.abs(self.x - self.path), 2)
         rests = max(self.speed, float(v.max())) <= REST_SPEED and q.max() <= ON_PATH_DEVIATION
@@ -230,7 +232,7 @@ class MotionGuard(LeafSystem):
     - robot_state: (2m,) positions and velocities of the robot's m joints [rad, m, rad/s, m/s]; the
       arm has n of these joints.
     - policy_state: abstract `PolicyState` of the movement primitive: its phase, its rate ds/dt, and
-      the reason if it is held.
+      the reason if it is held, that is, stopped on its path.
     - desired_position, desired_velocity: (3,) position and velocity of the tool point in the world
       frame [m, m/s].
     - desired_orientation: (4,) quaternion w, x, y, z of R_WE.
@@ -252,10 +254,12 @@ class MotionGuard(LeafSystem):
     - speed_scale: (1,) fraction of full speed at which `DmpIntegrator` advances, in [0, 1].
     - evasion_velocity: (3,) velocity in the world frame by which `DmpIntegrator` shifts its motion
       to the tool of a stuck arm [m/s]; 0 otherwise.
-    - supervision: abstract `Supervision`: run, slow, hold or stop, and the reason.
+    - supervision: abstract `Supervision`: run, slow, hold (rest until the cause ends) or stop, and
+      the reason.
     - decision: (2,) start time and simulated compute latency of the last decision [s].
-    - path_state: (2m,) robot state with the arm on the verified motion at the current phase: the
-      start of the predictions of `MotionVerifier` [rad, m, rad/s, m/s].
+    - path_state: (2m,) start of the predictions of `MotionVerifier` [rad, m, rad/s, m/s]: the
+      measured state of the robot. While a maneuver has moved the arm away from the verified motion,
+      the arm's joints are those on this motion at the current phase, unless the arm is stuck.
     - tracking_error: (3,) desired minus actual position of the tool point in the world frame [m].
     - orientation_error: (3,) rotation vector from the actual to the desired orientation of the
       tool, in the world frame [rad].
@@ -273,18 +277,18 @@ class MotionGuard(LeafSystem):
     evasive maneuvers (joint trajectories of two legs). The phase of the movement primitive rests
     during a maneuver; afterwards the arm returns to the verified motion. An arm without progress
     for 1 s is stuck: it stops, the desired position moves to the tool, and the guard waits for a
-    new motion from there. If no newer decision becomes active within about three periods, the phase
-    is held, or a maneuver is replaced by braking.
+    new motion from there. If no newer decision becomes active within about three periods, the arm
+    stops on the verified motion, or brakes if it executes a maneuver.
 
     With the error e between measured and commanded position of a joint, and the gains kp and kd of
     the joint controller, a contact is detected if
 
         |e| > contact_error   or   |e + (kd / kp) de/dt| > 0.6 contact_error
 
-    The command then restarts at rest from the measured configuration. For `contact_time`, maneuvers
-    move no point of the arm faster than `v_unseen`, and the verified motion is held. The left side
-    of the second condition is the feedback torque over kp M, with the mass matrix M. Without
-    contact it is at most 0.003 rad, or 0.01 rad with a wrong model of the arm.
+    The arm is then commanded to rest at its measured configuration. For `contact_time`, maneuvers
+    move no point of the arm faster than `v_unseen`, and the arm does not advance on the verified
+    motion. The left side of the second condition is the feedback torque over kp M, with the mass
+    matrix M. Without contact it is at most 0.003 rad, or 0.01 rad with a wrong model of the arm.
     """
 
     def __init__(
@@ -312,7 +316,8 @@ class MotionGuard(LeafSystem):
             q_start: (n,) commanded configuration before initialization [rad].
             config: configuration of the movement primitive; its `period` is the time step of the
                 joint command.
-            parameters: parameters of the search, the contact reaction and the monitors.
+            parameters: parameters of the search for maneuvers, the contact reaction and the speed
+                limits.
             period: time between decisions [s].
             damping: ratio kd / kp of the gains of the joint controller [s].
             padding: position uncertainty of moving obstacles, added to their clearance [m].
@@ -399,9 +404,10 @@ class MotionGuard(LeafSystem):
 
     def _path_state(self, context: Context) -> FloatArray:
         """Computes the value (2m,) of the output port path_state: the state of the robot [rad, m,
-        rad/s, m/s] with its arm on the verified motion (checked by simulation).
+        rad/s, m/s] from which the verified motion (checked by simulation) is predicted.
 
-        While the arm is on this motion or stuck, the value is the measured state.
+        The value is the measured state. While a maneuver has moved the arm away from the verified
+        motion, the arm's joints are those on this motion, unless the arm is stuck.
         """
         x, state = self._robot.Eval(context).copy(), self._read(context)
         if not state.is_on_path and not state.is_stuck:
@@ -497,8 +503,8 @@ class MotionGuard(LeafSystem):
     def _react_to_contact(
         self, state: GuardState, q: FloatArray, v: FloatArray, time: float
     ) -> GuardState:
-        """Detects a contact of the arm by the measured joint state; after a contact the command
-        restarts at rest from the measured configuration.
+        """Detects a contact of the arm by the measured joint state; after a contact, the arm is
+        commanded to rest at its measured configuration.
 
         Args:
             state: state of the guard.
@@ -619,16 +625,16 @@ class MotionGuard(LeafSystem):
     def _stuck_since(
         self, state: GuardState, deviation: float, time: float, *, has_moving: bool
     ) -> tuple[float, float]:
-        """Computes the time since which the arm makes no progress toward the verified motion
-        (checked by simulation).
+        """Computes the time of the arm's last progress toward the verified motion (checked by
+        simulation).
 
         Args:
             state: state of the guard.
             deviation: maximum joint deviation from the verified motion [rad].
             time: current time [s].
-            has_moving: whether an obstacle moves. If so, an arm that is not at rest counts as
-                making progress, because it may still evade. If none moves, but one moved less than
-                2 s ago, any arm counts as making progress, because it may wait for this obstacle.
+            has_moving: whether an obstacle moves. If so, motion of the arm counts as progress,
+                because the arm may be evading the obstacle. For 2 s after the last obstacle has
+                come to rest, waiting counts as progress, too, because the obstacle may move on.
 
         Returns:
             Time of the last progress [s], inf if the arm is within 0.01 rad of the motion or has

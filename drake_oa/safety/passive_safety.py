@@ -54,14 +54,15 @@ _OCCUPIED_MARGIN = 0.01
 """Distance from a collision geometry or from the arm within which a point counts as occupied, and
 not as unobserved space [m]."""
 _BALL_SAMPLES = np.vstack([0.5 * DIRECTIONS, DIRECTIONS])
-"""Sample points (52, 3) in the unit ball without its center, scaled to test whether the space near
-the arm is observed [-]."""
+"""Sample points (52, 3) in the unit ball, except its center [-]. They are scaled to test whether
+the space near the arm is observed."""
 _PARTS = 8
-"""Number of subsets of the arm's spheres that are checked one after another for speeds toward
-unobserved space above `v_unseen`, which violate claim (B) of passive motion safety [-]."""
+"""Number of subsets into which the arm's spheres are divided to check claim (B) of passive motion
+safety: no speed above `v_unseen` toward unobserved space [-]. The first subset with a violation
+ends the check."""
 _SAMPLE_RADII = np.linalg.norm(_BALL_SAMPLES, axis=1)
-"""Distances (52,) from the center of the unit ball to its sample points, which are scaled to test
-whether the space near the arm is observed: 0.5 or 1 [-]."""
+"""Distances (52,) of the sample points in the unit ball from its center: 0.5 or 1 [-]. The points
+are scaled to test whether the space near the arm is observed."""
 
 
 def violated_claim(
@@ -129,13 +130,13 @@ def violated_claim(
 def _is_any_approaching(
     p_WS: FloatArray, reach: FloatArray, dt: FloatArray, moving: CollisionGeometries, stamp: float
 ) -> bool:
-    """Checks whether any of S spheres approaches moving obstacles faster than 0.02 m/s in a step
-    after which an obstacle may have reached it.
+    """Checks whether any of S spheres approaches a moving obstacle faster than 0.02 m/s although
+    the obstacle may reach the sphere.
 
     Args:
         p_WS: (T, S, 3) centers of the spheres in the world [m].
-        reach: (T - 1, S) distance from the center of each sphere, at the end of each step, within
-            which an obstacle at the time `stamp` may have reached the sphere [m].
+        reach: (T - 1, S) radius around the center of each sphere at the end of each step [m]. An
+            obstacle inside it at the time `stamp` may reach the sphere by the end of the step.
         dt: (T - 1,) durations of the steps [s].
         moving: collision geometries of moving obstacles.
         stamp: time at which the geometries are evaluated [s].

@@ -3,8 +3,9 @@
 The speed scale is the fraction of the full rate ds/dt = 1 / (tau T) of normalized time s. T is the
 demonstrated duration, and tau the temporal scaling. Each monitor returns a `SpeedLimit`, and the
 smallest limit is active. The path is a function of s only, and therefore does not depend on the
-speed. A cause is lasting if it persists while the motion is at rest; a hold for it becomes a stop
-after 3 s. The verified motion is the joint motion that MotionVerifier checked by simulation.
+speed. In a hold, the motion rests until the cause ends. A cause is lasting if it persists while the
+motion is at rest; after 3 s, a hold with a lasting cause becomes a stop. The verified motion is the
+joint motion that MotionVerifier checked by simulation.
 
 ===================  =====================================  ====================================
 Monitor              slows                                  holds
@@ -47,14 +48,14 @@ down [-]."""
 RECOVERY_TIME = 0.3
 """Time in which the supervisor raises the speed of the motion from rest to full speed [s]."""
 _HOLD_BELOW = 0.05
-"""Limit of the speed, as a fraction of full speed, below which the supervisor holds the motion [-].
-"""
+"""Speed limit, as a fraction of full speed, below which the supervisor holds the motion, that is,
+lets it rest until the cause ends [-]."""
 _RESUME_ABOVE = 0.3
-"""Limit of the speed, as a fraction of full speed, from which the supervisor resumes a held motion
-[-]."""
+"""Minimum speed limit, as a fraction of full speed, at which the supervisor resumes a motion that
+rests on its path [-]."""
 _HOLD_TIMEOUT = 3.0
-"""Duration after which the supervisor turns a hold into a stop, if the cause persists while the arm
-rests [s]."""
+"""Duration after which the supervisor's action changes from "hold" to "stop", if the cause persists
+while the arm rests [s]."""
 _MIN_EVENT_DURATION = 0.5
 """Minimum time for which the supervisor keeps the action "slow", and the cause of an action, so
 that rapid changes are not logged [s]."""
@@ -99,8 +100,8 @@ class Supervision(Frozen):
         since: start time of the current action and cause [s].
         blocked_since: start time of a hold with a lasting cause, that is, one that persists while
             the motion is at rest [s]; inf: no such hold.
-        saturated_since: start of the torque saturation, or time of its last speed reduction [s];
-            inf: not saturated.
+        saturated_since: start time of the torque saturation or, once this has reduced the speed,
+            time of the last reduction [s]; inf: not saturated.
         torque_scale: fraction of full speed that torque saturation allows, in [0, 1].
         is_faulted: whether an input was not finite; such a stop never ends.
     """
@@ -236,8 +237,8 @@ def monitor_guard(
         decision: active decision of the guard.
         time: current time [s].
         is_late: whether the decision has expired because no newer one was completed in time.
-        has_moving: whether an obstacle moves, or moved less than 2 s ago; then a wait is expected
-            to end by itself.
+        has_moving: whether an obstacle moves, or moved less than 2 s ago. If not, a wait or
+            maneuver is a lasting cause, which is not expected to end by itself.
     """
     if is_late:
         reason = "no decision of the motion guard in time"
@@ -254,7 +255,8 @@ def monitor_guard(
 
 
 def monitor_contact(is_recent: bool) -> SpeedLimit:
-    """Holds the verified motion (checked by simulation) after a contact of the arm.
+    """Limits the speed on the verified motion (checked by simulation) to 0 after a contact of the
+    arm.
 
     Args:
         is_recent: whether a contact was detected less than `contact_time` ago, a parameter of the
