@@ -11,9 +11,10 @@ topic               type                            content
                                                     notes that explain why the motion is held;
                                                     reasons for which the motion guard slows or
                                                     stops the arm
-/log/<key>          std_msgs/Float64                keys of the log with one value an instant
-/log/<key>          std_msgs/Float64MultiArray      keys of the log with several values an instant
-/log/constants      std_msgs/String                 all other keys as JSON; null: not finite
+/log/<key>          std_msgs/Float64                keys of the log with one number per instant
+/log/<key>          std_msgs/Float64MultiArray      keys of the log with several numbers per instant
+/log/constants      std_msgs/String                 all other keys as JSON, with null for NaN and
+                                                    infinity
 ==================  ==============================  ==============================================
 
 The docstring of `drake_oa.runs.motion_log` lists the keys of the log. Points and markers are in the
@@ -36,8 +37,8 @@ from drake_oa.runs.report import motion_metrics
 from drake_oa.scenario.scenario import Scenario
 
 _STEP = 8
-"""Number of logged instants from one clearance in the bag to the next, since the computation of
-clearances is slow."""
+"""Interval between two messages of a clearance in the bag, in logged instants: the computation of
+clearances is too slow for every instant."""
 _INFO = 20
 """Severity of the messages on the topic /rosout: INFO of rcl_interfaces/Log."""
 _SPHERE, _DELETE_ALL = 2, 3

@@ -1,5 +1,8 @@
-"""Check of a scenario's cameras: fraction of the space near the arm that no camera observes to be
-free, and a pose of the first camera for which this fraction is smaller.
+"""Check of a scenario's cameras: unobserved fraction of the space near the arm, and a pose of the
+first camera with a smaller fraction.
+
+A point is unobserved if no camera sees that it is free, that is, in front of the surface that the
+camera measures.
 """
 
 from __future__ import annotations
@@ -33,8 +36,8 @@ from drake_oa.world.delayed_camera import Rendered
 from drake_oa.world.world_model import add_world
 
 MAX_UNOBSERVED_FRACTION = 0.15
-"""Fraction of the space within 0.4 m of the arm that no camera observes to be free, above which
-`view_note` suggests another camera pose [-]."""
+"""Unobserved fraction of the space within 0.4 m of the arm above which `view_note` suggests another
+camera pose [-]."""
 _DISTANCE = 2.1
 """Distance of a suggested camera from its target, the mean position of the arm along the nominal
 motion [m]."""
@@ -54,8 +57,9 @@ def _motion_space(scenario: Scenario) -> tuple[FloatArray, list[FloatArray], Flo
 
     Returns:
         T configurations (T, n) of the robot from start to goal [rad, m]; for each of them, grid
-        points (N, 3) in the space that `unobserved_near_arm` defines, in the world [m]; and the
-        mean position (3,) of the arm over all configurations, in the world [m].
+        points (N, 3) that sample the space near the arm (see `unobserved_near_arm`), in the world
+        [m]; and the mean position (3,) of the spheres that cover the arm, over all configurations,
+        in the world [m].
     """
     robot = robot_of(scenario)
     robot_plant, spheres = make_robot_plant(robot), covered_arm(robot).arrays
@@ -74,8 +78,9 @@ def observed_free_space(
     """Computes the space that the cameras of a scenario observe to be free at one instant, from
     rendered depth images.
 
-    A pixel without a surface in the range of its camera observes no free space, as in images of
-    structured-light cameras, unless perception uses exact images (`noise: null`).
+    A pixel without a surface up to the maximum depth of its camera shows no free space, as in
+    images of structured-light cameras. If `!DepthCamera` has exact images (`noise: null`), the
+    pixel shows free space up to the maximum depth.
 
     Args:
         source: perception block of the scenario.
@@ -154,12 +159,12 @@ def camera_pose_around(
 
 
 def unobserved_near_arm(scenario: Scenario) -> float:
-    """Computes the fraction of the space near the arm, along the nominal motion, that none of the
-    cameras that perception uses observes to be free.
+    """Computes the unobserved fraction of the space near the arm, along the nominal motion.
 
-    The space is outside the arm and within 0.4 m of its surface. If there is a table, only points
-    from the table to 0.75 m above it belong to the space. The fraction, in [0, 1], is the mean over
-    five configurations of the arm. Images have no noise; obstacles are at their initial poses.
+    A point is unobserved if none of the cameras of perception sees that it is free. The space is
+    outside the arm and within 0.4 m of its surface. If there is a table, only points from the table
+    to 0.75 m above it belong to the space. The fraction, in [0, 1], is the mean over five
+    configurations of the arm. Images have no noise; obstacles are at their initial poses.
 
     Args:
         scenario: scenario with a robot and perception by cameras.
@@ -173,8 +178,10 @@ def _unobserved_fractions(
     points: Sequence[FloatArray],
     poses: Sequence[RigidTransform] = (),
 ) -> Iterator[float]:
-    """Computes the fraction of points that no camera observes to be free, for several poses of the
-    first camera that perception uses.
+    """Computes the unobserved fraction of given points, for several poses of the first camera of
+    perception.
+
+    A point is unobserved if no camera sees that it is free.
 
     Args:
         scenario: scenario with perception by cameras.
@@ -195,12 +202,12 @@ def _unobserved_fractions(
 
 
 def view_note(scenario: Scenario) -> str:
-    """Returns one line of text with the fraction of the space near the arm that no camera observes
-    to be free.
+    """Returns one line of text with the unobserved fraction of the space near the arm.
 
-    Above 15 % (`MAX_UNOBSERVED_FRACTION`), the line also suggests a pose of the first camera with
-    which more of the space is observed, or states that there is none. The line is empty if the
-    perception uses no cameras, or recorded images.
+    A point is unobserved if no camera sees that it is free. Above 15 %
+    (`MAX_UNOBSERVED_FRACTION`), the line also suggests a pose of the first camera with a smaller
+    fraction, or states that none of the evaluated poses has one. The line is empty if perception
+    uses no cameras, or recorded images.
     """
     source = scenario.perception
     if not isinstance(source, CameraSource) or isinstance(source, RecordedBag):

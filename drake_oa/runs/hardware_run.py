@@ -41,8 +41,8 @@ _WARMUP_DONE = 0.3
 """Duration of the warm-up, in simulated time, in which each layer is evaluated at least once before
 the arm moves [s]."""
 _IMAGE_DELAY = 0.05
-"""Maximum delay of camera images, in wall time, up to which the motion guard does not slow the
-motion of a real arm [s]."""
+"""Delay of real camera images, in wall time, that a hardware run tolerates: the maximum age of an
+observation at full speed is raised by this delay and by `LEAD` [s]."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,9 @@ def prepare_hardware(
 
     Raises:
         ScenarioError: if a field of the scenario is wrong; names the field.
-        HardwareError: if the arm sends no status, is not at rest at the start, is beyond its
-            limits, or receives commands of another process; if the table in the images is not at
-            the height that the scenario states.
+        HardwareError: if the arm sends no status, is not at rest at the start, has a joint outside
+            its position limits, or receives commands of another process; if the table in the images
+            is not at the height that the scenario states.
     """
     max_delay = LEAD + link.rate * _IMAGE_DELAY
     known_scenario = hardware_scenario(scenario, link.url, max_delay)
@@ -122,14 +122,14 @@ def drive(
     duration: float | None = None,
     on_step: OnStep = lambda monitor, root: None,
 ) -> MotionLog:
-    """Executes the motion that avoids obstacles on a real arm until the motion has terminated, and
+    """Moves a real arm to the goal while avoiding obstacles, until the motion has terminated, and
     closes the link.
 
     Args:
         setup: result of `prepare_hardware`.
         link: link to the arm of this setup.
-        duration: simulated time at which the run ends in any case [s]; None: the motion has 6 times
-            its demonstrated duration after the last move of the goal.
+        duration: simulated time at which the run ends in any case [s]; None: the time limit of the
+            motion is 6 demonstrated durations after the last move of the goal.
         on_step: function that is called once per period of the policy, with the monitor of the
             motion and the root Context of the diagram.
 
@@ -155,11 +155,11 @@ def drive(
 
 
 def _with_events(log: MotionLog, link: RobotLink) -> MotionLog:
-    """Returns a copy of a log whose notes, which explain holds of the motion, include the events of
-    the command streamer.
+    """Returns a copy of a log in which the events of the command streamer are added to the notes.
 
-    The command streamer is the process that sends positions to the arm. Its events are that the arm
-    stopped, holds its position, or resumed the motion; the reason of their notes is "speed_scale".
+    The notes of a log explain why the motion is held. The command streamer is the process that
+    sends positions to the arm. An event states that the arm stopped, holds its position, or resumed
+    the motion. Each added note has the hold reason "speed_scale".
 
     Args:
         log: log of the commanded motion.
@@ -177,8 +177,8 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
     commands by messages.
 
     The log contains the true states of the arm. Its notes are the events of the command validator:
-    the arm begins to follow commands or to hold, or a command is rejected. Only the process that
-    sent the commands has observations and decisions, so their attributes are empty.
+    the arm begins to follow commands or to hold, or a command is rejected. The attributes for
+    observations and decisions are empty, because only the process that sent the commands has them.
 
     Args:
         scenario: scenario of the station.

@@ -206,8 +206,9 @@ class ClearanceEvaluator:
                 which more than the robot moves; None or (T, 0): only the robot moves.
 
         Returns:
-            Metrics. Clearances count obstacles only. Contacts count every object, such as obstacles
-            and the table, and links of the robot that no joint connects to each other.
+            Metrics. Clearances are distances to obstacles only. Contacts are those of the robot
+            with any object, such as an obstacle or the table, and those between two links of the
+            robot that no joint connects to each other.
 
         Raises:
             ValueError: if q_world does not have the shape (T, n).
@@ -276,8 +277,8 @@ class ClearanceEvaluator:
     def contact_speeds(
         self, q: FloatArray, v: FloatArray, q_world: FloatArray
     ) -> tuple[dict[str, float], float]:
-        """Computes the speed of the robot's link into the object for each contact, and the robot's
-        kinetic energy.
+        """Computes for each contact how fast the robot's link moves into the object, and computes
+        the robot's kinetic energy.
 
         Args:
             q: (nq,) positions of the robot, in the plant's order [rad, m].
@@ -335,9 +336,10 @@ class ClearanceEvaluator:
         """Computes the minimum distances (3,) to obstacles [m]: of the robot, of the tool, and of
         the tool to resting obstacles.
 
-        Bounding balls give a lower bound for the distance of each pair of collision geometries.
-        Pairs are evaluated in the order of these bounds, until no bound is below the largest of the
-        three minima. A minimum is inf if no obstacle is within `OUT_OF_WORLD` (25 m).
+        Only pairs of collision geometries that can be nearest are evaluated: bounding balls give a
+        lower bound for the distance of each pair. Pairs are evaluated in the order of these bounds,
+        until no bound is below the largest of the three minima. A minimum is inf if no obstacle is
+        within `OUT_OF_WORLD` (25 m).
         """
         robot, obstacles = self._robot_balls, self._obstacle_balls
         apart = robot.centers(self._plant_context)[:, None] - obstacles.centers(self._plant_context)

@@ -5,13 +5,19 @@ holds the number `SCHEMA_VERSION`. Each motion has one key MOTION/ATTRIBUTE for 
 `MotionLog`. MOTION is "nominal" or "avoiding", or "leg_1", "leg_2" and so on for `drake-oa play`.
 Texts are string arrays, of dimension 0 for a single text.
 
-W is the world frame (z up), E the tool point, O an obstacle. There are T instants (every 4 ms) and
-F observations of at most M obstacles each. In shapes, E is the number of notes with which the
-policy (the movement primitive) explains holds, in which the motion rests on its path. The motion
-guard, which commands the joints, has S changes of its action. There are D decisions of the layers
-that select the motion ("verification") and the maneuvers away from obstacles ("guard"). The
-verified motion is the selected motion, which was checked by simulation. nq, nv and nu are the
-numbers of positions, velocities and actuators of the robot, 0 without a robot.
+W is the world frame (z up), E the tool point, O an obstacle. nq, nv and nu are the numbers of
+positions, velocities and actuators of the robot, 0 without a robot. Other letters in shapes count
+the entries of the log:
+
+- T instants (every 4 ms).
+- F observations of at most M obstacles each.
+- K notes with which the policy (the movement primitive) explains holds. During a hold the motion
+  rests on its path.
+- S changes of the action of the motion guard, which commands the joints.
+- D decisions of two layers: "verification" selects the motion, and "guard" selects maneuvers away
+  from obstacles.
+
+The verified motion is the selected motion, which was checked by simulation.
 
 ====================  =============  ========  ====================================================
 key                   shape          unit      content
@@ -30,13 +36,14 @@ phase                 (T,)           none      canonical phase k of the movement
                                                down to 0
 speed_scale           (T,)           none      fraction of full speed that the motion guard permits,
                                                in [0, 1]; 1 without a guard
-tracking_error        (T,)           m         distance of E to its desired position, from the
-                                               controller; NaN without one
+tracking_error        (T,)           m         distance of E to its desired position, as the
+                                               controller outputs it; NaN without a controller
 q_world               (T, n)         rad, m    all positions of the plant of robot and world; (T, 0)
                                                if only the robot moves
 observation_time      (F,)           s         times at which observations became available
-observation_stamp     (F,)           s         times of the scene that was observed: of the images,
-                                               for example; inf: the scenario gives the ellipsoids
+observation_stamp     (F,)           s         times at which the observed scene was captured, for
+                                               example those of the images; inf: the scenario gives
+                                               the ellipsoids
 p_WO                  (F, M, 3)      m         centers of the obstacles' ellipsoids in W; NaN rows
                                                for observations of fewer than M ellipsoids
 R_WO                  (F, M, 3, 3)   none      orientations of the ellipsoids in W; the columns are
@@ -48,10 +55,10 @@ out_of_range          (F,)           none      number of obstacles beyond the tr
                                                regressor chain
 inference             ()             text      method: "Verified" by simulation, or "Paper" (Pairet
                                                et al., RA-L 2019); "" for the nominal motion
-shortfall             (T,)           m         clearance that the verified motion is predicted to
-                                               lack; 0: none
-event_time            (E,)           s         times at which the note of the policy changed
-event                 (E,)           text      notes that explain why the policy holds the motion;
+shortfall             (T,)           m         predicted amount by which the verified motion falls
+                                               below the required clearance; 0: none
+event_time            (K,)           s         times at which the note of the policy changed
+event                 (K,)           text      notes that explain why the policy holds the motion;
                                                "": the motion continues
 supervision_time      (S,)           s         times at which the guard's action or reason changed
 supervision_action    (S,)           text      "run", "slow", "hold" or "stop" (a hold for a lasting
@@ -68,26 +75,27 @@ wall_time             ()             s         wall-clock time of the simulation
 avoid_obstacles       ()             bool      whether obstacles were avoided
 scenario              ()             text      the scenario as YAML, defaults included
 seed                  ()             none      seed of the scenario
-versions              (P,)           text      versions of packages, date, and source digest (hash
-                                               of the source files), each as "name value"
+versions              (P,)           text      P entries "name value": versions of packages, date,
+                                               and source digest (hash of the source files)
 goal                  (T, 3)         m         position of the goal
 desired_orientation   (T, 4)         none      quaternion w, x, y, z of the desired R_WE; (0, 4):
                                                constant orientation
 orientation_error     (T, 3)         rad       rotation vector in W from actual to desired
                                                orientation; (0, 3): constant orientation
-desired_posture       (T, 2n)        rad,      nominal configuration of the null space, then its
-                                     rad/s     velocities; (T, 0): none
-guard_action          (T,)           none      decision of the guard: 0 follow, 1 slow or 2 wait on
-                                               the verified motion, 3 evade by a maneuver, 4 brake;
-                                               (0,): no guard
+desired_posture       (T, 2m)        rad,      nominal positions of the arm's m joints, tracked in
+                                     rad/s     the null space, then their velocities; (T, 0): none
+guard_action          (T,)           none      decision of the guard: 0 follow the verified motion,
+                                               1 follow it at reduced speed, 2 wait on it, 3 evade
+                                               by a maneuver, 4 brake; (0,): no guard
 guard_contact         (T,)           s         simulated time of the first contact predicted on the
                                                verified motion; inf: none
-guard_claim           (T,)           none      claim of passive motion safety that limits the speed:
-                                               0 none, 1 (A) moving obstacles, 2 (B) unobserved
-                                               space
-clearance_reduction   (T,)           m         requested clearance of the tool minus the largest
-                                               clearance required between any link and any
-                                               obstacle, which start or goal reduces; (0,): unknown
+guard_claim           (T,)           none      claim of passive motion safety by which the guard
+                                               limits the speed: 0 none, 1 (A) toward moving
+                                               obstacles, 2 (B) toward unobserved space
+clearance_reduction   (T,)           m         reduction of the requested clearance because start or
+                                               goal is nearer to an obstacle: requested clearance of
+                                               the tool minus the largest clearance required between
+                                               any link and any obstacle; (0,): unknown
 motion_source         (T,)           none      source of the motion: -1 none, 0 nominal motion, 1
                                                regressor chain, 2 search, 3 path in joint space
 motion_end            ()             s         time at which the motion terminated, after which the
@@ -97,12 +105,13 @@ decision_time         (D,)           s         times at which decisions started;
                                                latency is simulated
 decision_latency      (D,)           s         simulated duration of each decision
 decision_layer        (D,)           text      layer that decides: "verification" or "guard"
-event_hold            (E,)           text      reason of the hold from then on: "deciding" (no
+event_hold            (K,)           text      reason of the hold from then on: "deciding" (no
                                                motion is selected yet), "speed_scale" (the speed
                                                scale is 0), "supervisor" (the motion guard has set
-                                               it to 0), "goal" (the goal is not finite) or
-                                               "obstacles" (not observed, around tool or goal, or
-                                               impassable); "none": no hold
+                                               the speed scale to 0), "goal" (the input `goal` of
+                                               the policy is not finite) or "obstacles" (obstacles
+                                               are not observed or cannot be passed, or an ellipsoid
+                                               contains the tool or the goal); "none": no hold
 ended                 ()             text      kind of the termination, a value of `MotionEnd`, such
                                                as "goal"
 ====================  =============  ========  ====================================================
@@ -149,17 +158,18 @@ class MotionEnd(StrEnum):
     GOAL = "goal"
     """Termination because the tool reached the goal."""
     STOPPED = "stopped"
-    """Termination because the motion guard stopped the motion, for a reason that persists while the
-    motion is at rest."""
+    """Termination because the motion guard stopped the motion, for a cause that is not expected to
+    end by itself."""
     HELD = "held"
     """Termination because the motion was held, at rest on its path, longer than the maximum hold
     time of 5 s. A hold until the first motion is selected does not count."""
     MISSED = "goal missed"
-    """Termination because the tool was more than 5 mm from the goal at the normalized time 2.2
-    (1 is the end of the demonstrated motion), or shortly after a later predicted arrival."""
+    """Termination because the tool was late: still more than 5 mm from the goal at normalized time
+    2.2 (1 is the end of the demonstrated motion), or at 0.2 after the predicted arrival of the
+    selected motion, whichever is later."""
     LEFT = "goal left"
-    """Termination at the goal, from which the tool was away again at the end of the simulation, for
-    example to evade an obstacle."""
+    """Termination at the goal, after which the tool moved away: at the end of the simulation it was
+    more than 5 mm from the goal, for example to evade an obstacle."""
     TIME_LIMIT = "time limit"
     """Termination because the time limit of the run was reached: 6 demonstrated durations after the
     last move of the goal, unless another limit was set."""
@@ -250,9 +260,7 @@ class MotionLog:
 
     @property
     def moving(self) -> slice:
-        """Slice of the T logged instants that belong to the motion, without those after its
-        termination.
-        """
+        """Slice of the T logged instants up to the termination of the motion."""
         return slice(int(np.searchsorted(self.t, self.duration, side="right")))
 
     def arrays(self) -> dict[str, np.ndarray]:

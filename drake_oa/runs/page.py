@@ -66,8 +66,8 @@ class PanelReadings:
         Args:
             now: simulated time [s].
             state: last line of the text: reason of a hold, or state of the motion.
-            q: (N, nq) positions of the robot since the previous reading [rad, m]; the last of at
-                least one row is the present one.
+            q: (N, nq) positions of the robot since the previous reading, N at least 1 [rad, m]; the
+                last row is the present configuration.
             q_world: (N, n) all positions of the plant of robot and world [rad, m], or (N, 0): only
                 the robot moves.
             source: source of the motion: 0 nominal motion, 1 regressor chain, 2 search, 3 path in
@@ -151,8 +151,9 @@ class LivePanel:
         self._next, self._state = 0.0, ""
 
     def __call__(self, monitor: MotionMonitor, root: Context, state: str = "") -> None:
-        """Waits for the page if it needs more than 0.15 s to draw the previous frame, and updates
-        the panel every 0.1 s of simulated time and at changes of state.
+        """Updates the panel every 0.1 s of simulated time and at changes of state.
+
+        At every call, the method waits if the page has not drawn the previous frame within 0.15 s.
 
         Args:
             monitor: monitor of the motion.

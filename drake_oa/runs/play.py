@@ -45,8 +45,8 @@ SETTLING_TIME = 0.3
 _MAX_LEGS = 20
 """Maximum number of motions of an interactive run whose logs are stored; older logs are deleted."""
 _MAX_LATENESS = 0.1
-"""Maximum delay of an interactive run behind the wall clock at the selected speed, for which the
-following steps are faster [s]; the rest of a longer delay remains."""
+"""Maximum delay behind the wall clock, at the selected speed, that an interactive run makes up for
+by faster steps [s]. The part of a delay above this maximum remains."""
 _METHODS = ("verified", "paper", "nominal")
 """Names of the methods that compute the motion, in the order in which a button of the viewer
 selects them: "verified" by simulations of candidate motions, "paper" by the regressor chain of
@@ -111,7 +111,7 @@ class PlaySession:
         page: page with the viewer and the panel.
         logs: logs of the finished motions by the names "leg_1", "leg_2" and so on.
         is_stopped: whether the stop button was pressed.
-        is_returning: whether the present motion ends at the start of the scenario.
+        is_returning: whether the goal of the present motion is the start of the scenario.
     """
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat, page: LivePage) -> None:
@@ -360,7 +360,7 @@ class PlaySession:
         """Ends the present motion (leg), if any, and adds its log to `logs`.
 
         Args:
-            reason: reason in the log for the end of a motion that has not terminated.
+            reason: reason that the log states if the motion is interrupted before its termination.
         """
         if self._simulator is None:
             return

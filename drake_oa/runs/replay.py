@@ -200,8 +200,9 @@ class LogPlayer(LeafSystem):
     - ellipsoids_W: abstract `EllipsoidSet` in the world frame, the latest observation; empty
       before the first one.
     - policy_state: abstract `PolicyState` of the movement primitive. Its p_WE is the actual
-      position of the tool point in the world [m]. Its z_W is the desired velocity [m/s]; the factor
-      tau T (temporal scaling, demonstrated duration) that would scale it to [m] is not in the log.
+      position of the tool point in the world [m]. Its z_W is the desired velocity [m/s]. In a
+      simulation, z_W [m] is this velocity times tau T (temporal scaling, demonstrated duration),
+      but the log does not contain tau T.
 
     The system has no state: its outputs depend only on time.
     """

@@ -25,12 +25,14 @@ from drake_oa.scenario.sources import given_ellipsoids, perception_period
 from drake_oa.scenario.task import goal_at
 
 TOLERANCE = 1e-3
-"""Difference between two clearances above which the report contains a note (requested minus
-achievable clearance, or a further reduction of the request during the motion) or a warning
-(achievable minus minimum clearance) [m]."""
+"""Difference between two clearances above which the report table mentions it in a line of text [m].
+
+A note mentions that the achievable clearance is less than the requested one, or that the requested
+clearance was reduced further during the motion. A warning mentions that the minimum clearance is
+less than the achievable one."""
 _CONTACTS = ("contacts", "initial_contacts", "new_contacts", "self_contacts")
-"""Keys in the report for the lists of contacts, with the names of the attributes of
-`MotionMetrics`."""
+"""Keys of the lists of contacts in the report, which are also the names of the attributes of
+`MotionMetrics` with these contacts."""
 
 
 def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
@@ -76,8 +78,8 @@ def motion_report(
 
     The verified motion is the selected motion, which was checked by simulation. Contacts and
     clearances count until the world is at rest; duration, path and decisions until the end of the
-    motion. On hardware the true obstacles are unknown: `collisions` without contacts,
-    `achievable_clearance` and `clearance_shortfall` are None.
+    motion. On hardware the true obstacles are unknown. Therefore `achievable_clearance` and
+    `clearance_shortfall` are None, and `collisions` is None instead of 0.
 
     Args:
         scenario: configuration of the run.
@@ -88,8 +90,9 @@ def motion_report(
         Metrics by key:
 
         - collisions: number of pairs of a robot link and an object in contact.
-        - contacts, initial_contacts, new_contacts: names of these pairs: of all, of those in
-          contact at the first instant, and of those whose contact begins later.
+        - contacts: names of these pairs.
+        - initial_contacts, new_contacts: names of the pairs that are in contact at the first
+          instant, and of the pairs whose contact begins later.
         - self_contacts: names of the pairs of robot links in contact.
         - contact_depth: maximum penetration of each pair.
         - tool_clearance_min, robot_clearance_min: minimum clearance of the tool and of the whole
@@ -108,15 +111,17 @@ def motion_report(
         - out_of_range: fraction of observations with an obstacle beyond the training range of the
           regressor chain.
         - inference: "Verified" or "Paper"; None for the nominal motion.
-        - predicted_shortfall, clearance_reduction: maximum clearance that the verified motion was
-          predicted to lack, and maximum reduction of the requested clearance because start or goal
-          leaves less; None unless `inference` is "Verified".
+        - predicted_shortfall: maximum predicted amount by which the verified motion falls below the
+          required clearance; None unless `inference` is "Verified".
+        - clearance_reduction: maximum reduction of the requested clearance because start or goal is
+          nearer to an obstacle; None unless `inference` is "Verified".
         - sources: fraction of the duration for each source of the motion: nominal, chain (the
-          regressor chain), search or joint_path (a path in joint space).
+          regressor chain), search or joint_path (a path in joint space); None unless `inference` is
+          "Verified".
         - guard_actions: fraction of the duration for each action of the motion guard: follow, slow
           or wait on the verified motion, evade, or brake.
-        - guard_claims: fraction of the duration in which a claim of passive motion safety limits
-          the speed: A toward moving obstacles, B toward unobserved space.
+        - guard_claims: fraction of the duration in which the guard limits the speed because of each
+          claim of passive motion safety: A toward moving obstacles, B toward unobserved space.
         - decision_latency, guard_latency: statistics of the compute latencies of decisions on the
           motion and on maneuvers of the guard, see `latency_statistics`; None: no decision with
           latency.
@@ -233,8 +238,8 @@ def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
 
 
 def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
-    """Computes the distance of the tool point to the goal at the termination of the motion, or at
-    the last instant if larger [m].
+    """Computes the larger of two distances of the tool point to the goal [m]: at the termination of
+    the motion, and at the last instant.
 
     Args:
         scenario: scenario of the log.

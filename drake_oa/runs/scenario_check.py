@@ -46,8 +46,8 @@ def end_contacts(scenario: Scenario) -> str:
     such contacts.
 
     These are all contacts of the robot at the start, and contacts of the tool with resting objects
-    at the goal. At the goal the arm may arrive in another configuration, and moving obstacles may
-    be elsewhere.
+    at the goal. Other contacts at the goal do not count, because the arm may arrive in another
+    configuration, and moving obstacles may be elsewhere by then.
     """
     if scenario.robot is None:
         return ""
@@ -68,8 +68,10 @@ def end_contacts(scenario: Scenario) -> str:
 
 
 def _ends(scenario: Scenario) -> list[MotionMetrics]:
-    """Computes contacts and clearances of the resting robot: one result, for one instant, in its
-    start configuration, then one in its goal configuration.
+    """Computes contacts and clearances of the resting robot, first in its start configuration, then
+    in its goal configuration.
+
+    Each result has one instant.
     """
     evaluator = clearance_evaluator(scenario)
     return [evaluator.metrics(q[None]) for q in end_positions(scenario)]

@@ -51,7 +51,7 @@ MAX_NORMALIZED_TIME = 2.2
 
 Normalized time s advances at the rate 1 / (tau T) at full speed, with the demonstrated duration T
 [s] and the temporal scaling tau [-]. A motion that is predicted to arrive later terminates later.
-If the goal moves after s = 1, the limit is delayed by the value of s - 1 at its last move.
+If the goal makes its last move at s > 1, the limit is higher by s - 1.
 """
 _CONTINUE = EventStatus.DidNothing()
 """Event status that `MotionMonitor` returns to the Simulator while the simulation continues."""
@@ -74,8 +74,8 @@ AT_REST = 0.01
 REST_TIME = 1.0
 """Time for which the world must be at rest after the motion before the simulation ends [s]."""
 MAX_SETTLING_TIME = 5.0
-"""Maximum time that the simulation continues after the motion's time limit and the world's last
-change, if the robot is not at rest [s]."""
+"""Maximum time for which the simulation waits until the robot is at rest [s]. It counts from the
+motion's time limit or the world's last change, whichever is later."""
 
 
 class MotionInterruptedError(RuntimeError):
@@ -104,7 +104,7 @@ class MotionOutcome(NamedTuple):
     @property
     def may_continue(self) -> bool:
         """Whether the motion may still continue later: True for the kinds STOPPED and HELD, because
-        the reason for which the motion rests may end.
+        the cause for which the motion was stopped or held may end.
         """
         return self.end in (MotionEnd.STOPPED, MotionEnd.HELD)
 
@@ -158,17 +158,18 @@ class MotionMonitor:
     stopped or held motion continues in the meantime, it has not terminated.
 
     The conditions use the normalized time s, which is 1 at the end of the demonstrated motion. The
-    desired motion has arrived if its position is within `ARRIVAL_TOLERANCE` (0.6 mm) of the goal,
-    almost at rest. The verified motion is the selected motion, which was checked by simulation:
+    desired motion has arrived if its position is almost at rest within `ARRIVAL_TOLERANCE` (0.6 mm)
+    of the goal. The verified motion is the selected motion, which was checked by simulation:
 
     =============  ===================================================================
     `MotionEnd`    condition
     =============  ===================================================================
-    GOAL           the tool is within `AT_GOAL` of the goal, and s >= 1 and the desired motion has
-                   arrived, or s is as late as for MISSED
+    GOAL           the tool is within `AT_GOAL` of the goal; also, either s >= 1 and the desired
+                   motion has arrived, or s meets both conditions of MISSED
     STOPPED        the motion guard has stopped the motion
-    MISSED         s is after `MAX_NORMALIZED_TIME` and, by at least 0.2, after the predicted
-                   arrival of the verified motion, and the tool is not within `AT_GOAL` of the goal
+    MISSED         the tool is not within `AT_GOAL` of the goal, although s is at least
+                   `MAX_NORMALIZED_TIME` and at least 0.2 later than the predicted arrival of the
+                   verified motion
     HELD           a hold is longer than `MAX_HOLD_TIME`; its reason is not DECIDING
     TIME_LIMIT     the time limit of the motion is reached
     LEFT           after GOAL: the tool is not within `AT_GOAL` at the end of the simulation
@@ -467,8 +468,8 @@ def simulate(
     Args:
         scenario: configuration of the diagram.
         avoid_obstacles: whether obstacles are avoided; False: the nominal motion.
-        duration: simulated time at which the simulation ends in any case [s]; None: the motion has
-            6 times its demonstrated duration after the last move of the goal.
+        duration: simulated time at which the simulation ends in any case [s]; None: the time limit
+            of the motion is 6 demonstrated durations after the last move of the goal.
         on_step: function that is called once per period of the policy, with the monitor of the
             motion and the root Context.
         layers: functions that add the layers of the diagram, such as perception and control; None:
@@ -585,8 +586,8 @@ def collect_log(
 
 
 def columns_of(rows: Sequence[tuple[Any, ...]], names: Sequence[str]) -> dict[str, Any]:
-    """Converts rows of a time [s] and texts to columns of a log: an array of times, and tuples of
-    texts.
+    """Converts rows, each a time [s] followed by texts, to columns of a log: an array of times, and
+    tuples of texts.
 
     Args:
         rows: tuples that begin with a time; may be empty.
