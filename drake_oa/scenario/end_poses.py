@@ -27,8 +27,8 @@ from drake_oa.scenario.demonstration import demonstrated_orientation, primitive_
 from drake_oa.scenario.scenario import Scenario, robot_of
 
 _MAX_ANGLE_STEP = math.radians(10.0)
-"""Maximum mean angle between neighboring orientations of the tool, when its orientation along a
-motion is sampled [rad]."""
+"""Maximum angle between neighboring samples of the tool's orientation along a motion, as the mean
+over all neighbors [rad]."""
 _MIN_SAMPLES = 5
 """Minimum number of samples of the tool's orientation along a motion."""
 
@@ -144,9 +144,9 @@ def robots_along_motion(scenario: Scenario) -> list[Robot]:
 
 
 _POSE_TOLERANCE = 1e-3
-"""Maximum difference in each element of the position [m] and of the rotation matrix [-] between the
-tool pose that the task states for start or goal, and the tool pose at the configuration that it
-states."""
+"""Maximum difference between two tool poses of a start or goal: the pose that the task states, and
+the pose at the configuration that the task states. It applies to each element of the position [m]
+and of the rotation matrix [-]."""
 _ENDS = ("start", "goal")
 """Names of the two ends of a motion, as in the field names `q_start` and `q_goal`."""
 

@@ -87,11 +87,11 @@ def scenario_problems(name_or_file: str, overrides: Sequence[str] = ()) -> list[
 def parse_scenario(
     text: str, overrides: Sequence[str] = (), *, folder: Path | None = None
 ) -> Scenario:
-    """Builds a `Scenario` from YAML text and from overrides, texts "a.b=c" that replace the value
-    of field b in block a by c.
+    """Builds a `Scenario` from YAML text and from overrides.
 
-    Relative file names in the YAML text refer to `folder` (None: the current directory). Relative
-    file names in overrides refer to the current directory.
+    An override is a text "a.b=c", which replaces the value of field b in block a by c. Relative
+    file names in the YAML text refer to `folder` (None: the current directory). Relative file names
+    in overrides refer to the current directory.
 
     Raises:
         ScenarioError: listing every wrong field.
@@ -139,8 +139,8 @@ def _robot_problems(scenario: Scenario) -> Iterator[str]:
 
 
 def _fault_problems(scenario: Scenario) -> Iterator[str]:
-    """Yields one error line for each fault that requires a robot, the perception `!DepthCamera` or
-    a camera in it, if the scenario does not have it.
+    """Yields an error line for each missing requirement of a fault: a robot for any fault; for a
+    camera dropout, the perception `!DepthCamera` with the camera that the fault names.
     """
     source = scenario.perception
     for row, fault in enumerate(scenario.faults):

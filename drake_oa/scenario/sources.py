@@ -18,8 +18,8 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 
 _SURFACE_GAP = 0.01
-"""Maximum depth to which a robot link can penetrate an obstacle's surface between two of the
-surface points that ground-truth perception outputs [m]."""
+"""Padding of the surface points that ground-truth perception outputs: maximum depth to which a
+robot link can penetrate the surface of an obstacle between these points [m]."""
 
 
 _GIVEN_PERIOD = 1.0 / 15.0
