@@ -71,7 +71,7 @@ LEAD = 0.04
 to the arm [s]. Pauses of the diagram that last up to half of this time do not slow down the arm."""
 _RAMP = 0.15
 """Time in which the streamed motion accelerates to full speed after a hold, and decelerates to rest
-if no valid status arrives or the end is requested [s]."""
+if no valid status arrives or the end of the streamer is requested [s]."""
 STATUS_TIMEOUT = 0.1
 """Time without a valid status of the arm after which the arm holds and simulated time pauses [s]. A
 status that is older than this time on arrival is invalid."""
@@ -80,10 +80,12 @@ _STOP_TIMEOUT = 0.3
 streamer stops the arm permanently [s]."""
 _RESTART_TOLERANCE = 0.03
 """Maximum distance of each joint from its planned position at which the streamed motion may start
-or resume from rest [rad]. At a larger distance the arm was moved, and is stopped."""
+or resume from rest [rad]. At a larger distance something else has moved the arm, and the streamer
+stops the arm permanently."""
 _MAX_TRACKING_ERROR, _TRACKING_WINDOW = 0.1, 0.2
-"""Maximum distance between the measured arm and the nearest of its recent commands, per joint
-[rad], and maximum age of a recent command [s]. A larger distance stops the arm."""
+"""Maximum distance between the measured joint positions and the nearest recent command, as the
+largest difference of any joint [rad], and maximum age of a recent command [s]. At a larger distance
+the streamer stops the arm permanently."""
 COMMAND_TIMEOUT = 0.1
 """Time after which a simulated arm no longer follows its last command, and maximum difference
 between a command's stamp and the wall clock [s]. The driver of the arm's vendor uses an equal
@@ -123,8 +125,8 @@ class SharedTrajectory(ctypes.Structure):
         executed_time: simulated time of the last command that was sent to the arm [s].
         end_requested: 1 if the streamer must bring the arm to rest and end. The diagram sets the
             value; the streamer sets it if its parent process has ended.
-        max_tracking_error: largest distance so far between a measured joint and the nearest of its
-            recent commands [rad].
+        max_tracking_error: largest distance so far between the measured joint positions and the
+            nearest recent command, as the largest difference of any joint [rad].
     """
 
     _fields_ = (
@@ -536,8 +538,8 @@ class CommandValidator:
         other content than one position per arm joint in position mode
         time stamp not after that of the last valid command, as with two command sources
         position outside the limits of its joint
-        jump of a joint by more than `STEP_TOLERANCE` plus `MAX_SPEED_RATIO` times the displacement
-        at the speed limit since the last valid command (0 if the arm holds)
+        jump of a joint by more than `STEP_TOLERANCE` plus, unless the arm holds, `MAX_SPEED_RATIO`
+        times the displacement at the speed limit since the last valid command
 
     After `COMMAND_TIMEOUT` without a valid command, the arm holds its last desired position, and
     may follow commands again from there.

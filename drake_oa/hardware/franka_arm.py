@@ -25,14 +25,14 @@ _GOAL_TOLERANCE = 1e-3
 """Distance of the joints from a target at which the controller reports that the target is reached
 [rad]."""
 _LAG_GAIN = 0.1
-"""Gain of the integral that computes the lookahead, the time by which targets are ahead of the
-executed time: fraction of the arm's measured lag that is added with each target [-]."""
+"""Fraction of the arm's measured lag that is added to the lookahead with each target [-]. The
+lookahead is the time by which targets are ahead of `SharedTrajectory.executed_time`."""
 _MIN_SPEED = 0.05
 """Minimum planned speed, as the norm of all joints' speeds, at which the lag of the arm behind the
 planned motion is measured [rad/s]."""
 _REST_SPEED, _REST_STATES = 0.01, 1000
-"""Maximum speed of each joint of an arm at rest [rad/s], and maximum number of states received from
-the robot until the arm is at rest, or has recovered from an error."""
+"""Maximum speed of each joint of an arm at rest [rad/s], and number of received robot states within
+which the arm must be at rest or have recovered from an error, before it counts as failed."""
 
 _logger = logging.getLogger("drake_oa")
 """Logger of the package drake_oa, for warnings about the arm."""
@@ -64,11 +64,12 @@ def error_texts() -> dict[str, str]:
 class FrankaArm:
     """Connection to a Franka Research 3 that follows targets of its joint positions.
 
-    The targets are joint positions on the planned motion, ahead of the executed time by a time, the
-    lookahead. The robot's controller plans each motion so that it can stop at the target; the arm
-    therefore lags behind the executed time. The lookahead is the integral of this lag, measured by
-    the controller's desired positions, and at most `LEAD`. Without new targets the arm stops on the
-    planned motion.
+    The executed time is the simulated time whose planned positions `send` receives. A target
+    consists of the planned positions at a later time, the executed time plus the lookahead. The
+    robot's controller plans each motion so that it can stop at the target; the arm therefore lags
+    behind the target. The lookahead compensates the lag of the controller's desired positions
+    behind the executed time: it is the integral of this lag, and at most `LEAD`. Without new
+    targets the arm stops on the planned motion.
 
     Attributes:
         name: address of the robot.
@@ -129,7 +130,8 @@ class FrankaArm:
 
         Args:
             now: time of the wall clock, which is not used [s].
-            q: (7,) planned joint positions at the executed time [rad].
+            q: (7,) planned joint positions at the simulated time `executed_time` of the shared
+                trajectory [rad]; the target is further along the planned motion.
 
         Raises:
             ArmStoppedError: if the robot rejects the motion, or the connection is lost.
@@ -156,8 +158,10 @@ class FrankaArm:
             _logger.warning("%s: stopping the motion generator failed: %s", self.name, error)
 
     def _target(self, q: FloatArray) -> FloatArray:
-        """Returns the next target (7,) [rad], for the planned positions q (7,) [rad] at the
-        executed time t. With the planned velocity v and the controller's desired positions q_d::
+        """Returns the next target (7,) [rad]: the planned joint positions at a time ahead of t.
+
+        t is `executed_time` of the shared trajectory, and q (7,) are the planned positions at t
+        [rad]. With the planned velocity v and the controller's desired positions q_d::
 
             lag = (q - q_d) . v / (v . v),    lookahead += _LAG_GAIN * lag,
             target = planned(t + lookahead)

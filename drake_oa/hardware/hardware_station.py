@@ -61,9 +61,9 @@ def hardware_scenario(scenario: Scenario, lcm_url: str, image_delay: float = 0.0
     Args:
         scenario: scenario with `!DepthCamera` or `!LcmCamera`.
         lcm_url: URL of the LCM bus.
-        image_delay: delay of the images, in simulated time, for which the motion guard must not
-            slow the arm [s]. It is added, in camera periods, to `guard.stale_frames`: the age of an
-            observation above which the guard slows the arm.
+        image_delay: delay of the images, in simulated time, that must not slow the arm [s]. The
+            motion guard slows the arm if an observation is older than `guard.stale_frames` camera
+            periods. The delay, converted to camera periods, is added to this field.
 
     Raises:
         ScenarioError: naming a field that requires a simulated world, or if the scenario has no

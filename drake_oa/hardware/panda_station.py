@@ -50,8 +50,8 @@ _AT_REST, _REST_TIME = 0.01, 1.0
 """Maximum speed at which joints of the simulated robot count as at rest [rad/s, m/s], and time at
 rest after which a run of the station ends [s]."""
 _CATCH_UP = 0.02
-"""Maximum delay of the simulation behind the wall clock that later, faster steps compensate [s];
-the rest of a longer delay remains."""
+"""Maximum delay of the simulation behind the wall clock that faster steps make up for [s]. The
+part of a delay above this maximum remains."""
 
 _logger = logging.getLogger("drake_oa")
 """Logger of the package drake_oa, used for warnings about invalid command messages."""
@@ -101,7 +101,8 @@ class _ImageSender:
             lcm: LCM bus of the messages.
             now: time of the wall clock [s].
             rate: ratio of simulated time to wall time [-].
-            is_paused: whether the simulation is paused, so that the image repeats an earlier one.
+            is_paused: whether the simulation is paused. The image then repeats an earlier one, and
+                does not change the time at which the next new image is due.
         """
         camera, context = self._camera, self._system.GetMyContextFromRoot(root)
         image = camera.depth_image.Eval(context)

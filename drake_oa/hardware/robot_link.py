@@ -141,10 +141,11 @@ class RobotLink:
             self._warmed_up_since = math.nan
 
     def to_simulated(self, stamp: float) -> float:
-        """Converts a recent time of the wall clock to simulated time [s]: the time in the planned
-        motion that the arm had executed then, if it has moved at the full rate since.
+        """Converts a recent time of the wall clock to simulated time [s].
 
-        In the warm-up before the motion, it is `rate` times the wall time since the warm-up began.
+        The result is the simulated time up to which the planned motion had been sent to the arm at
+        that wall time. It is exact if the motion has advanced at the full `rate` since. In the
+        warm-up before the motion, it is `rate` times the wall time from the start of the warm-up.
 
         Args:
             stamp: time of the wall clock [s].
@@ -164,8 +165,8 @@ class RobotLink:
             (7,) measured positions of the arm's joints [rad].
 
         Raises:
-            HardwareError: if the arm sends no status, is not at the start, is beyond its limits, is
-                not at rest, or receives commands of another source.
+            HardwareError: if the arm sends no status, is not at the start, has a joint outside its
+                position limits, is not at rest, or receives commands of another source.
         """
         since = self.clock()
         while not self.trajectory.is_stopped and np.isnan(self.trajectory.measured[0]).all():
