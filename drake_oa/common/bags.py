@@ -1,7 +1,7 @@
 """Bags of ROS 2 messages (rosbag2) without ROS: message types, and the writer of an MCAP file.
 
-The optional packages rosbags and mcap-ros2-support read and write the files. Times in messages are
-whole nanoseconds.
+The optional package mcap-ros2-support writes the files. The optional package rosbags reads them,
+and has the definitions of the message types. Times in messages are whole nanoseconds.
 """
 
 from __future__ import annotations

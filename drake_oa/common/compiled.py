@@ -65,8 +65,9 @@ class KernelCacheLocator(InTreeCacheLocator):
     def get_disambiguator(self) -> str:
         """Returns the part of the cache file's name that depends on the source of the kernel.
 
-        Numba unpickles the argument types of a cache file before it compares stamps, which fails
-        if a type has been renamed. With this name, numba never reads cache files of other sources.
+        Numba unpickles the argument types in a cache file before it compares the stamp in the file
+        with the present one. Unpickling fails if a type has been renamed. With this part of the
+        name, numba never reads a cache file of another source.
         """
         return self.get_source_stamp()[:16]
 
@@ -74,7 +75,8 @@ class KernelCacheLocator(InTreeCacheLocator):
         """Computes the stamp of a kernel: a digest of the sources and constants that determine its
         machine code.
 
-        Numba uses cached machine code only if its stamp is equal.
+        Numba uses cached machine code only if the stamp that was saved with the code equals the
+        result.
         """
         stamps = [super().get_source_stamp()]
         for value in self._used:
@@ -149,8 +151,8 @@ def _pool() -> ThreadPoolExecutor:
 def on_cores(kernel: Callable[..., None], parts: int, *arguments: Any) -> None:
     """Runs `kernel(part, parts, *arguments)` for part = 0, ..., parts - 1 in parallel threads.
 
-    These threads replace those of numba, which wait for the next call in a busy loop and so cost
-    6 ms of processor time.
+    The threads of numba are not used, because they wait for the next call in a busy loop, which
+    costs 6 ms of processor time per call.
 
     Args:
         kernel: numba-compiled function with the decorator `parted`, which computes one part of a

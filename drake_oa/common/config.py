@@ -38,8 +38,8 @@ from pydantic_core import CoreSchema, ErrorDetails, core_schema
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
 _LCM_PROVIDERS = ("udpm", "tcpq", "memq")
-"""Beginnings of valid LCM URLs: providers that both send and receive messages. The provider `file`
-only records or replays."""
+"""Names of the LCM providers that both send and receive messages; a valid LCM URL begins with one
+of these names. The provider `file` only records or replays."""
 
 BLOCK = ConfigDict(
     extra="forbid",

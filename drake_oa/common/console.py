@@ -48,7 +48,9 @@ def is_interrupt(error: BaseException | None) -> bool:
 
 @cache
 def announce_first_use(work: str) -> None:
-    """Prints a line on stderr about slow work, whose result the caller stores for later uses.
+    """Prints a line on stderr about slow work that is necessary only at the first use.
+
+    The function that calls this one stores the result of the work for later uses.
 
     Args:
         work: description of the work, with which the line begins. Later calls with the same text in
@@ -75,8 +77,11 @@ class Column(NamedTuple):
     side: Literal["left", "right"] | None = None
 
     def cell(self, row: Mapping[str, Any]) -> str:
-        """Returns the column's text in a row of values by key; "-" if the value of `key` is missing
+        """Returns the text of the table cell in this column and a row; "-" if the value is missing
         or not finite.
+
+        Args:
+            row: values of the row by key.
         """
         value = row.get(self.key)
         if isinstance(value, str):

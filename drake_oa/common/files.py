@@ -311,8 +311,8 @@ def installed_package(name: str) -> Path | None:
 
 _TEXT = re.compile(rb'^\s*(?:#.*$|r?"""(?s:.*?)"""\s*$)|("""(?s:.*?)""")', re.MULTILINE)
 """Regular expression of the parts of a Python file that do not enter the hash of `source_digest`:
-comment lines and docstrings, with blank lines before them. Its group matches other strings in
-triple quotes, which do enter the hash."""
+comment lines and docstrings, with blank lines before them. The capture group matches other strings
+in triple quotes, which do enter the hash."""
 
 
 @cache

@@ -30,11 +30,12 @@ class LatencyModel:
     """
 
     decision: float = Field(default=1e-3, ge=0.0, le=1.0)
-    """Compute time of one decision (computation of a motion or maneuver), apart from its counted
-    work [s]. Raising it delays every decision."""
+    """Constant compute time of one decision (computation of a motion or maneuver), to which the
+    times of its searches, steps, clearances and claims are added [s]. Raising it delays every
+    decision."""
     search: float = Field(default=2.5e-3, ge=0.0, le=1.0)
-    """Compute time of one batch of roll-outs (simulations of candidate motions), apart from its
-    time steps [s]. Raising it delays searches."""
+    """Constant compute time of one batch of roll-outs (simulations of candidate motions), to which
+    the times of its time steps are added [s]. Raising it delays searches."""
     step: float = Field(default=4e-7, ge=0.0, le=1.0)
     """Compute time of one time step in the roll-out (simulation) of one candidate motion [s].
     Raising it delays searches."""
@@ -42,16 +43,18 @@ class LatencyModel:
     """Compute time of the clearance of the whole arm in one configuration [s]. Raising it delays
     searches and maneuvers."""
     claim: float = Field(default=2e-4, ge=0.0, le=1.0)
-    """Compute time of the check of one trajectory for claim (A) of passive motion safety: the arm
-    rests or moves away where a moving obstacle may reach it [s]. The check of claim (B), a speed
-    limit toward unobserved space, counts as three. Raising it delays maneuvers."""
+    """Compute time to check one trajectory for claim (A) of passive motion safety: where a moving
+    obstacle may reach the arm, the arm rests or moves away [s]. A check for claim (B), which limits
+    the speed toward unobserved space, requires three times this time. Raising it delays
+    maneuvers."""
 
     def seconds(self, work: Counter[str]) -> float:
         """Returns the compute latency of a decision [s].
 
         Args:
-            work: numbers of "searches", "steps", "configurations" and "claims" in the decision, as
-                `counted` yields them.
+            work: numbers of "searches" (batches of roll-outs), "steps" (time steps of roll-outs),
+                "configurations" (computations of the arm's clearance) and "claims" (checks of
+                trajectories for passive motion safety) in the decision, as `counted` yields them.
         """
         return (
             self.decision
@@ -65,9 +68,10 @@ class LatencyModel:
 _account: ContextVar[Counter[str]] = ContextVar("work")
 """Counters of the computing work in the innermost `with counted()` block.
 
-`counted` installs new counters at the beginning of the block, and `count` increases them. They are
-"searches" (batches of roll-outs), "steps" (of roll-outs), "configurations" (whose clearance is
-computed) and "claims" (checks of trajectories for passive motion safety)."""
+`counted` creates new counters at the beginning of the block, and `count` increases them. The
+counters are "searches" (batches of roll-outs), "steps" (time steps of roll-outs), "configurations"
+(computations of the arm's clearance) and "claims" (checks of trajectories for passive motion
+safety)."""
 
 
 @contextmanager

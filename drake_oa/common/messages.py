@@ -30,7 +30,10 @@ number of the obstacle in perception, is the remainder ID % PART_ID_STRIDE."""
 
 
 class Frozen:
-    """Base class of immutable dataclasses with read-only arrays, whose copy is the same object."""
+    """Base class of immutable dataclasses with read-only arrays.
+
+    A copy of an instance is the instance itself.
+    """
 
     def __post_init__(self) -> None:
         fields = self.__dict__
@@ -180,8 +183,8 @@ class HoldReason(StrEnum):
     """Hold because the input port `goal` of the policy is not finite; its last finite value remains
     the goal."""
     OBSTACLES = "obstacles"
-    """Hold because of obstacles: they are not observed, the ellipsoid of one contains the tool or
-    the goal, or they cannot be passed."""
+    """Hold because of obstacles: the last observation is missing or too old, the ellipsoid of an
+    obstacle contains the tool point or the goal, or the obstacles cannot be passed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,8 +237,9 @@ class PlannedMotion(Frozen):
         p_WE: (T, 3) positions of the tool point at these times in the world frame [m].
         q: (T, n) joint positions of the arm at these times [rad]; (0, n): no joint positions are
             planned.
-        p_WS: (3,) start of the motion to which the plan belongs, in the world frame [m]. The plan
-            is outdated after the motion has restarted elsewhere. (0,): no restart outdates it.
+        p_WS: (3,) start of the motion to which the plan belongs, in the world frame [m]. When the
+            movement primitive has restarted from another point, the plan is outdated. (0,): the
+            plan is valid for every start.
     """
 
     s: FloatArray = zeros(0)
@@ -274,9 +278,9 @@ class Route(Frozen):
         normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle is passed,
             with the direction x_L of the baseline; a positive rotation about this normal turns the
             baseline toward the selected side.
-        remaining_clearance: (M,) distance from the obstacle's ellipsoid at which heading guidance
-            leads the motion past it on the selected side [m]: the requested clearance, or the
-            distance of start or goal if that is smaller; 0: no guidance.
+        remaining_clearance: (M,) clearance from each ellipsoid that heading guidance aims at on the
+            selected side [m]: the requested clearance, or the distance from the ellipsoid to the
+            start or goal if that is smaller; 0: no guidance.
         index: (M,) index of the selected direction among the K directions.
         angles: (K,) angles of the directions about the x axis of the local frame L [rad], 0 along
             its y axis, pi/2 along its z axis.
@@ -289,9 +293,9 @@ class Route(Frozen):
         ids: (M,) IDs of the ellipsoids.
         blocked: whether every side of at least one obstacle is forbidden.
         note: if `blocked`, the reason, which names the obstacles; otherwise empty.
-        side_cost: (N,) costs of passing all obstacles on one of N evenly spaced sides, by
-            user-supplied cost rings, as additional path length over the distance from start to goal
-            [-]; inf: forbidden.
+        side_cost: (N,) costs of N evenly spaced sides by user-supplied cost rings: for each side,
+            the cost of passing all obstacles on it, as additional path length divided by the
+            distance from start to goal [-]; inf: the side is forbidden. (1,) zero: no such rings.
     """
 
     direction_W: FloatArray = zeros(0, 3)
@@ -340,22 +344,22 @@ class CouplingParameters(Frozen):
         center_W: (M, 3) centers of the terms in the world frame [m]; (0, 3): the centers of the
             perceived ellipsoids.
         normal_W: (M, 3) normals in the world frame of the planes in which the obstacles are
-            passed. A nonzero row replaces the row of `Route.normal_W` (the normal by the selected
-            side) and switches off heading guidance, the term that turns the motion to the selected
-            side, for this obstacle; (0, 3): no normals. The motion turns away from the center for
-            both signs of a normal. The sign determines the side only for a heading straight toward
-            the center.
-        tau: temporal scaling of the motion (factor on the demonstrated duration), which replaces
-            the scaling by the length of the path past the obstacles, `Route.path_length`; 0: not
-            set.
-        hold: reason for holding the motion; NONE: the motion is not held.
+            passed; (0, 3): no normals. A nonzero row replaces the row of `Route.normal_W`, the
+            normal for the selected side. For this obstacle, the row also switches off heading
+            guidance, the term that turns the motion to the selected side. The motion turns away
+            from the center for both signs of a normal. The sign determines the side only for a
+            heading straight toward the center.
+        tau: temporal scaling of the motion (factor on the demonstrated duration). A nonzero value
+            replaces the scaling that the policy computes from `Route.path_length`, the length of
+            the path past the obstacles; 0: not set.
+        hold: reason for holding the motion; NONE: the coupling terms do not hold the motion.
         note: explanation of `hold`.
         restart: whether a motion at rest restarts, with the current position as its new start.
         verified: whether roll-outs (simulations) have verified the motion. The coupling terms then
             act about `center_W` and do not belong to the perceived ellipsoids. A tool or goal
             inside a perceived ellipsoid then does not hold the motion.
-        ellipsoids: ellipsoids that belong to verified coupling terms, past which heading guidance
-            turns the motion.
+        ellipsoids: if `verified`, the ellipsoids past which heading guidance turns the motion, in
+            place of the perceived ones.
     """
 
     alpha: FloatArray = zeros(0)

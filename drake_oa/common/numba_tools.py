@@ -43,10 +43,11 @@ def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
 
 @contextmanager
 def announced_compilation() -> Iterator[None]:
-    """Prints a line on stderr if numba compiles functions in the `with` block instead of loading
-    their machine code from files, and the duration at the end of the block.
+    """Prints a line on stderr when numba begins to compile functions in the `with` block, and the
+    duration of the compilation at the end of the block.
 
     Numba compiles at the first use in a checkout, and after an update of numba or drake_oa.
+    Otherwise it loads the machine code from files, and nothing is printed.
     """
     # Imported here because it is slow, see the module docstring.
     from numba.core import event

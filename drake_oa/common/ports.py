@@ -14,10 +14,11 @@ from pydrake.systems.framework import AbstractStateIndex, Context, DependencyTic
 T = TypeVar("T")
 
 DECISION_OFFSET = 1e-3
-"""Delay between the start of a period and a layer's periodic decision, such as a motion search [s].
+"""Delay of a layer's periodic decision, such as a motion search, after the start of each period of
+the layer [s].
 
-After this delay, the inputs of the decision contain an observation that perception outputs at the
-start of the period."""
+Due to this delay, the decision uses an observation that perception outputs at the start of the
+period."""
 
 
 class AbstractInput(Generic[T]):
