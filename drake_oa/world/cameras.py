@@ -47,7 +47,7 @@ class Camera:
     Attributes:
         intrinsics: intrinsics of the depth image.
         depth_image: output port with the depth image along the optical axis, an ImageDepth32F [m],
-            with noise if it is simulated and the scenario sets noise.
+            with noise if the camera is simulated and the scenario sets noise.
         pose: output port with the pose X_WC of the camera (x right, y down, z forward) in the
             world, a RigidTransform.
         delay: time from the capture to the output of an image [s]; 0: no delay.

@@ -178,8 +178,8 @@ class BackgroundCamera:
 
 
 _numbers = itertools.count()
-"""Counter of the background cameras in this process. Its numbers are the names of the cameras'
-rendered worlds, the diagrams in which the cameras render."""
+"""Counter for the numbers of the background cameras in this process. The number of a camera, as
+text, is the key in `_worlds` of the diagram in which the camera renders."""
 _render_thread = ThreadPoolExecutor(1, "render")
 """Executor with one thread, which creates, uses and destroys the render engines of all cameras."""
 _worlds = threading.local()
@@ -303,8 +303,8 @@ class DelayedCamera(TimedCamera):
         self._camera.release()
 
     def is_ready(self, context: Context) -> bool:
-        """Checks whether the image that the camera outputs now has been rendered, so that an
-        evaluation of `depth_image` does not wait.
+        """Checks whether the image that the camera outputs at the time of a Context has been
+        rendered, so that an evaluation of `depth_image` does not wait.
         """
         return self._rendering(context).done()
 
@@ -343,10 +343,10 @@ class DelayedCamera(TimedCamera):
         state.get_mutable_abstract_state(self._state_index).set_value(after)
 
     def capture_state(self, context: Context) -> tuple[float, FloatArray]:
-        """Returns the capture time [s] of the image that the camera outputs now, and the plant
-        state (n,) at the capture time.
+        """Returns the capture time [s] of the image that the camera outputs at the time of a
+        Context, and the plant state (n,) at the capture time.
 
-        If a dropout has prevented all images up to now, the time is -inf and the state is the
+        During a dropout before the first capture, the capture time is -inf, and the state is the
         present state.
         """
         captures, now = self._read(context), context.get_time()
@@ -358,21 +358,21 @@ class DelayedCamera(TimedCamera):
         return captures.stamp[row], captures.state[row]
 
     def image(self, context: Context) -> NDArray[np.float32] | float:
-        """Returns the depth image (H, W) that the camera outputs now [m], after waiting for its
-        rendering; NaN if no image was captured yet.
+        """Returns the depth image (H, W) that the camera outputs at the time of a Context [m],
+        after waiting for its rendering; NaN during a dropout before the first capture.
         """
         has_come = self.capture_state(context)[0] >= 0.0
         return self._rendering(context).result().depth if has_come else np.nan
 
     def pose(self, context: Context) -> RigidTransform:
-        """Returns the camera pose X_WC at the capture time of the image that the camera outputs
-        now.
+        """Returns the camera pose X_WC at the capture time of the image that the camera outputs at
+        the time of a Context.
         """
         return self._rendering(context).result().X_WC
 
     def _rendering(self, context: Context) -> Future[Rendered]:
-        """Requests the rendering of the image that the camera outputs now, and returns the future
-        of the rendered image.
+        """Requests the rendering of the image that the camera outputs at the time of a Context, and
+        returns the future of the rendered image.
         """
         time, state = self.capture_state(context)
         return self._camera.request(state, max(time, 0.0))

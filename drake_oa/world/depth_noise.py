@@ -40,11 +40,11 @@ incidence, from the surface normal."""
 _LATERAL = 0.8
 """Standard deviation of the position of a depth edge in the image, for a view along the surface
 normal (Nguyen et al.) [pixel]. The growth of this deviation with the angle of incidence, below 0.1
-pixels up to 65 deg, is neglected. Only depth edges are displaced: on a plane, the standard
-deviation of the depth includes this effect."""
+pixels up to 65 deg, is neglected. Only depth edges are displaced, because the standard deviation of
+the depth on a plane already includes the effect of displaced pixels."""
 _BASELINE = 0.075
-"""Distance between the depth camera and its light projector, which is on the right (Khoshelham and
-Oude Elberink) [m]."""
+"""Distance between the depth camera and its light projector, which is on the right of the camera
+(Khoshelham and Oude Elberink) [m]."""
 _SUBPIXELS = 8.0
 """Number of disparity steps per pixel, in which the camera quantizes depth (Khoshelham and Oude
 Elberink) [1/pixel]. Disparity is the image shift that the camera measures. With the focal length f
@@ -77,9 +77,9 @@ docs/results/real_scans.md."""
 _SMOOTH = 3, 5
 """Widths, along columns and along rows, of the uniform filter that correlates the depth noise of
 neighboring pixels [pixel]. The values reproduce correlations in the real depth images of
-docs/results/real_scans.md, after the mean over 21 x 21 pixels was subtracted. Along a row, they are
-0.72 at one pixel, 0.38 at four and 0.08 at eight. Along a column, they are 0.57 at one pixel, 0.12
-at three and -0.02 at four."""
+docs/results/real_scans.md, after the mean over 21 x 21 pixels was subtracted. The correlations at
+distances along a row are 0.72 at one pixel, 0.38 at four and 0.08 at eight. Those along a column
+are 0.57 at one pixel, 0.12 at three and -0.02 at four."""
 _PATCH = 4
 """Side length of square patches of pixels [pixel]. At depth edges, all pixels of a patch are
 displaced together or missing together."""
@@ -107,7 +107,7 @@ def add_depth_noise(
     Args:
         depth: (H, W) true depths along the optical axis [m]; 0 is too near, inf is too far, NaN is
             missing.
-        time: capture time of the image, rounded to microseconds [s].
+        time: capture time of the image [s]; the noise depends on this time in whole microseconds.
         K: (4,) focal lengths fx, fy and principal point cx, cy of the camera [pixel].
         seed: seed of the random noise, an integer >= 0.
 

@@ -27,8 +27,9 @@ from drake_oa.world.cameras import TimedCamera
 from drake_oa.world.depth_messages import Frame, LcmFrames
 
 _STATE_HISTORY = 0.5
-"""Minimum duration, by the wall clock, of a camera's history of plant states, in which the state at
-the capture time of an image is interpolated [s]."""
+"""Minimum wall time for which a camera stores plant states [s].
+
+The plant state at the capture time of an image is interpolated between the stored states."""
 _MAX_AHEAD = 0.01
 """Maximum time by which the time stamp of an image may be ahead of the wall clock; images further
 ahead are rejected [s]."""
@@ -234,9 +235,9 @@ class LiveCamera(TimedCamera):
         """Checks whether the receiver has a new image, and returns the camera's state, with this
         image unless it is rejected or not newer than the previous image.
 
-        An image that is older than `max_age` is rejected with a reason, unless it was captured at
-        most `max_age` before the last check. Such an image is ignored without a reason, because it
-        may have become old only because the system did not check in the meantime.
+        An image older than `max_age` is usually rejected with a reason. If it was captured at most
+        `max_age` before the last check, it is ignored without a reason: it may have been recent
+        when it was received, and have become too old before this check.
 
         Args:
             context: present Context.
