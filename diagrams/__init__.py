@@ -46,9 +46,10 @@ motion_verifier and motion_guard are absent:
     actuation, torque_saturation, stopping                 controller
 
 cloud is the point cloud that the viewer draws, and free_space_W the space that the cameras
-observed to be free. path_state is the state of the robot on the verified motion. evasion_velocity
-is the velocity that shifts the desired motion to the tool of a stuck arm. stopping is 1 while the
-controller brakes the joints because an input is not finite.
+observed to be free. path_state is the state that the robot has on the verified motion at the
+present phase; the predictions of motion_verifier start from it. evasion_velocity is the velocity
+that moves the desired position to the tool if a maneuver has made no progress toward the verified
+motion for 1 s. stopping is 1 while the controller brakes the joints because an input is not finite.
 
 The files `*.scenario.yaml` in the folder of this package are the shipped scenarios.
 

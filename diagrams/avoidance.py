@@ -91,9 +91,11 @@ class Layers:
     ================= ============================================ ================================
 
     cloud is the point cloud that the viewer draws, and free_space_W the space that the cameras
-    observed to be free. path_state is the state of the robot on the verified motion, and
-    evasion_velocity the velocity that shifts the desired motion to the tool of a stuck arm.
-    stopping is 1 while the controller brakes the joints because an input is not finite.
+    observed to be free. path_state is the state that the robot has on the verified motion at the
+    present phase; the predictions of the verification layer start from it. evasion_velocity is the
+    velocity that moves the desired position to the tool if a maneuver has made no progress toward
+    the verified motion for 1 s. stopping is 1 while the controller brakes the joints because an
+    input is not finite.
 
     With `perception: !GroundTruth` (exact obstacles of the simulated world), the perception layer
     reads query_object, and with `inference: !Verified` also outputs collision_scene_W. With

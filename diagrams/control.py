@@ -73,11 +73,12 @@ def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationMode
     """Adds systems that output desired_posture, the nominal posture that the null space tracks.
 
     With the signal motion (planned motion of the verification layer), this is the system
-    nominal_posture_source, which outputs the planned joint positions at the present phase. Without
-    it, and if the task specifies a configuration at the goal (`task.q_goal`), the source
-    posture_guide outputs joint positions from the configuration at the start to that at the goal,
-    by a minimum-jerk profile, and guide_follower outputs those at the present phase. Otherwise no
-    system is added.
+    nominal_posture_source, which outputs the planned joint positions at the present phase.
+
+    Without this signal, and if the task specifies a configuration `task.q_goal` at the goal, two
+    systems are added. posture_guide outputs a joint motion from the configuration at the start to
+    `task.q_goal` with a minimum-jerk profile; guide_follower outputs the joint positions of this
+    motion at the present phase. Otherwise no system is added.
     """
     if station is None:
         return
@@ -105,8 +106,9 @@ def add_safety(signals: SignalBuilder, scenario: Scenario, station: StationModel
     It is added only if motions are verified by roll-outs (simulations). Main inputs are the desired
     motion of the tool, the signal motion (verified motion of the arm), collision_scene_W and
     robot_state. Main outputs are desired_joint_state, desired_joint_acceleration, path_state (state
-    of the robot on the verified motion), speed_scale (fraction of full speed) and evasion_velocity
-    (velocity that shifts the desired motion to the tool of a stuck arm).
+    of the robot on the verified motion at the present phase), speed_scale (fraction of full speed)
+    and evasion_velocity (velocity that moves the desired position to the tool if a maneuver has
+    made no progress toward the verified motion for 1 s).
     """
     if station is None or "motion" not in signals:
         return

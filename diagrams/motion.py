@@ -51,7 +51,8 @@ def add_policy(signals: SignalBuilder, scenario: Scenario, station: StationModel
     orientation_integrator (movement primitive of the orientation). The inputs of dmp_integrator are
     goal and, as far as these signals exist, ellipsoids_W, coupling_parameters, route (sides on
     which obstacles are passed), speed_scale (fraction of full speed), evasion_velocity (velocity
-    that shifts the motion to the tool of a stuck arm) and demonstration (motion that is imitated).
+    that moves the desired position to the tool if the arm makes no progress) and demonstration
+    (motion that is imitated).
     """
     task, policy = scenario.task, scenario.policy
     goal: LeafSystem = ConstantVectorSource(np.asarray(task.goal))
@@ -159,12 +160,12 @@ def make_joint_margins(scenario: Scenario) -> JointMargins | None:
     """Creates the function that computes the joints' distance from their limits along tool paths.
 
     The argument of this function contains P corners of each of N paths of the tool point, (N, P, 3)
-    in the world frame [m]; all paths have the same start. The result (N, P) contains for each
-    corner the minimum distance of the joints from their limits on the leg to this corner [rad]. It
-    is -inf from the first corner on that the arm cannot reach, and inf for all paths if their start
-    is out of reach.
+    in the world frame [m]; the first corner is the start, the same for all paths. The result (N, P)
+    contains for each corner the minimum distance of the joints from their limits on the leg to this
+    corner [rad]. The result is -inf from the first leg on that contains a pose out of reach. If the
+    start is out of reach, the result is inf for all paths.
 
-    The arm follows each path by inverse kinematics. Its null space tracks the configuration at the
+    The arm follows each path by inverse kinematics. The null space tracks the configuration at the
     start of the path, which is computed from the configuration at the start of the task.
 
     Returns:

@@ -225,9 +225,9 @@ def add_collision_scene(
 def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> SegmentationConfig:
     """Returns the parameters by which a source of obstacles segments images or point clouds.
 
-    They are the field `segmentation` of the source's block. If its `table_height` is null, the
-    scenario's `table_height` is used. If this is null, too, the search for a table plane is
-    switched off.
+    The parameters are the field `segmentation` of the source's block. If `table_height` is null in
+    this field, the scenario's `table_height` is used. If both heights are null, the search for a
+    table plane is switched off.
     """
     if source.segmentation.table_height is not None:
         return source.segmentation

@@ -106,18 +106,19 @@ def add_station(
 
 
 _COVERED: dict[tuple[str, RobotPlant], ArmSpheres] = {}
-"""Cache of the spheres that cover each robot, by the text of the robot's configuration block and
-the plant of the robot alone.
+"""Cache of the spheres that cover the collision geometry of each robot.
 
+A key contains the robot's configuration block as text, and the plant that contains only the robot.
 Computing the spheres requires seconds."""
 
 
 def covered_arm(robot: Robot) -> ArmSpheres:
     """Returns spheres that cover a robot's collision geometry.
 
-    The field `robot.spheres` sets how far they protrude from the surfaces. The spheres are computed
-    once per process, in the home configuration. In another configuration rounding would differ, and
-    results would depend on the scenarios that the process ran before.
+    The field `robot.spheres` sets how far the spheres protrude from the surfaces. The spheres are
+    computed once per process, always in the home configuration, because rounding depends on the
+    configuration. With the start of the first scenario instead, results of later scenarios in the
+    process would depend on this start.
 
     Raises:
         ScenarioError: for a robot that cannot be covered.
