@@ -44,8 +44,8 @@ ONE_CAMERA = {"camera": (0.0, 80.0)}
 """Place of a single camera above the table: name -> azimuth and elevation [degrees].
 
 Both angles are those of the camera's position, seen from `WORKSPACE_CENTER`: azimuth from the
-world's x axis toward y, elevation above the horizontal plane. A camera at a lower elevation has
-pixels without depth, since their background is beyond its range."""
+world's x axis toward y, elevation above the horizontal plane. From a lower
+elevation, the camera would see background beyond its range, so that pixels would have no depth."""
 TWO_CAMERAS = {"left": (90.0, 60.0), "right": (-90.0, 60.0)}
 """Places of two cameras beside the robot: name -> azimuth and elevation [degrees].
 
@@ -70,8 +70,9 @@ TASK_AZIMUTH = math.radians(60.0)
 ELEVATIONS = np.radians([35.0, 50.0, 65.0, 80.0, 20.0])
 """Elevations of a camera in order of preference: angles above the horizontal plane [rad].
 
-They are seen from the middle of start and goal. The first elevation is used at which no obstacle is
-within 0.15 m of the camera or of the first 0.8 m of its optical axis; if none, the last."""
+The angles are measured at the middle of start and goal. The first elevation is used at which no
+obstacle is within 0.15 m of the camera or of the first 0.8 m of its optical axis; if every
+elevation has such an obstacle, the last one is used."""
 MIN_DISTANCE = 0.15
 """Minimum distance of obstacles from a camera and from the first 0.8 m of its optical axis [m].
 
@@ -135,11 +136,13 @@ def with_workspace_cameras(
 
 
 def obstacle_geometries(obstacles: Iterable[Obstacle], time: float = 0.0) -> CollisionGeometries:
-    """Returns the collision geometries of obstacles in the world frame, all at rest.
+    """Returns the collision geometries of obstacles in the world frame at one simulated time.
+
+    The geometries have no velocity, even those of moving obstacles.
 
     Args:
         obstacles: obstacles of a scenario.
-        time: simulated time [s], at which the poses of moving obstacles are computed.
+        time: simulated time at which the poses of moving obstacles are computed [s].
     """
     placed = []
     for item in obstacles:

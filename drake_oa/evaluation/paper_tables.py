@@ -11,7 +11,7 @@
   (plane through start, goal and the obstacle's center).
 - Table III (tab:franka_metrics): the simulated robot before three kinds of obstacles, the scenarios
   `paper_box`, `paper_irregular` and `paper_clutter`. A trial is a run with its own camera noise.
-  Published are means of eleven trials of a real Panda in total.
+  The published values are means over trials of a real Panda, eleven for the whole table.
 """
 
 from __future__ import annotations
@@ -75,10 +75,10 @@ def error_table(
 
     Args:
         title: heading of the first column.
-        networks: target ("kappa", "psi" or "alpha") -> values of its network by key: `train` and
-            `test`, the NMSE on these rows; `rows`, their number; optionally the result of
-            `published_errors`, and `floor`, an estimate of the lowest NMSE that any function of the
-            inputs can reach.
+        networks: target ("kappa", "psi" or "alpha") -> values of its network by key. `train` is the
+            NMSE on the training rows, `test` that on the test rows, and `rows` the number of both
+            together. Optional are the keys of `published_errors`, and `floor`, an estimate of the
+            lowest NMSE that any function of the inputs can reach.
         notes: lines below the table.
     """
     columns = (
@@ -96,12 +96,16 @@ def error_table(
 def table_one_metrics() -> dict[str, Any]:
     """Returns the JSON of Table I: errors of the networks of each shipped regressor chain.
 
-    "chains" has for each weights file "networks", target ("kappa", "psi" or "alpha") -> `train` and
-    `test`, the normalized mean squared errors (NMSE) on the rows of these sets; `rows`, the number
-    of rows; and `floor`, an estimate of the lowest NMSE that any function of the network's inputs
-    can reach. Chains trained on motions of the paper's released code have the published values as
-    well. Further keys of a weights file are the chain's name in the paper, and the equations of
-    motion, number of simulated motions, seed, package version, date and digest of its training.
+    "chains" has an entry for each weights file. Its key "networks" has for each target ("kappa",
+    "psi" or "alpha") the values of one network:
+
+    - train, test: normalized mean squared error (NMSE) on the training rows, and on the test rows.
+    - rows: number of training and test rows together.
+    - floor: estimate of the lowest NMSE that any function of the network's inputs can reach.
+    - the keys of `published_errors`, if the chain was trained on motions of the released code.
+
+    The other keys of an entry are the chain's name in the paper, and data on its training:
+    equations of motion, number of simulated motions, seed, package version, date and source digest.
     """
     chains = {}
     for file in SHIPPED:
@@ -155,7 +159,8 @@ def evaluate_novel(scenes: Scenes) -> Outcome:
         scenes: scenes of the suite `demo`, drawn as by the authors' demo program.
 
     Returns:
-        Ground-truth results of all motions in the only setting, and the computing time.
+        Ground-truth results of all motions, and the computing time. All motions have a requested
+        clearance and the temporal scaling tau; the results are under the label of this setting.
     """
     return evaluate("paper", run, scenes, [Setting()], sections)
 
@@ -240,9 +245,10 @@ _CELL_COLUMNS = (
     Column("goal_error_max", "max. goal error [mm]", "{:.0f}", 1e3),
     Column("differing", "differing metrics"),
 )
-"""Columns (metric, heading, format, scale) of the reproduced Table II, after that of row names.
+"""Columns (metric, heading, format, scale) of the reproduced Table II, except the first.
 
-A row is a distance from start to goal, or its published values."""
+The first column has the names of the rows. There are two rows for each distance from start to goal:
+computed metrics and published values."""
 _NOTES = (
     f"Metrics agree if mean clearances differ by at most {1e3 * _MEAN_TOLERANCE:g} mm,",
     f"minimum clearances by {1e3 * _MIN_TOLERANCE:g} mm, collisions by {_COLLISION_TOLERANCE}, and"
@@ -348,7 +354,7 @@ def trial_metrics(
 
     The keys are:
 
-    - trials: number of runs; the other metrics are of those with a known tool clearance.
+    - trials: number of runs. All other metrics leave out runs with an unknown tool clearance.
     - obstacles_touched: number of different obstacles in contact in any run, the table included.
     - shortfall_count: number of runs with a tool clearance below the requested one.
     - clearance_mean, clearance_min: statistics of the minimum tool clearance of a run [m].

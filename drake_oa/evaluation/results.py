@@ -104,7 +104,7 @@ class Task(NamedTuple):
 
     Attributes:
         name: name of the result's file, without suffix.
-        call: function with its arguments; it returns JSON data that depend on these alone.
+        call: function with its arguments; the result, JSON data, depends only on the arguments.
     """
 
     name: str

@@ -156,8 +156,9 @@ def mbm_suites(
     perception: str = "truth",
     duration: float | None = None,
 ) -> list[PandaSuite]:
-    """Makes a suite, on which methods are evaluated, of each set of motion planning problems in an
-    archive.
+    """Makes a suite of scenes and methods for each set of motion planning problems in an archive.
+
+    Each problem is a scene of the suite; the evaluation runs each method in each scene.
 
     Args:
         file: archive (.tar.bz2) of problems, see `problems.read_archive`.
@@ -170,7 +171,7 @@ def mbm_suites(
 
     Raises:
         OSError: if the file cannot be read.
-        ValueError: if a set is unknown, has fewer problems, or is of another robot.
+        ValueError: if a set is unknown, has fewer than `scenes` problems, or is of another robot.
     """
     arm, archive = load_robot(robot or PANDA), read_archive(file)
     robot_text, suites = scenario_text(Scenario(robot=arm)), []

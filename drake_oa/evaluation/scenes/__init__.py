@@ -1,10 +1,10 @@
 """Evaluation of methods on synthetic scenes: a point and an ellipsoid, as in the paper.
 
-In: the scenes of a suite (`suites`), N at once as arrays (`scenes.Scenes`: meters, in the frame of
-the motion, start at the origin, goal at (baseline, 0, 0), with the distance `baseline`), and
-methods (`methods`), each a function of scenes and a setting (requested clearance, and whether the
-duration is scaled). Out: `scenes.Motions`, sampled paths and velocities; their evaluation on ground
-truth between the samples (`ground_truth`), and metrics over all motions (`evaluation`).
+A suite (`suites`) gives N scenes as arrays (`scenes.Scenes`) in meters. In each scene the motion
+starts at the origin; the goal is at (baseline, 0, 0), where `baseline` is the distance from start
+to goal. A method is a function of scenes and a setting (requested clearance, and whether the
+duration is scaled). It returns sampled paths and velocities (`scenes.Motions`). `ground_truth`
+evaluates the motions, also between the samples, and `evaluation` computes metrics over all motions.
 
     methods        `verified`, this project's search among simulated candidate motions, and
                    `movement_primitives`, the package of that name
@@ -12,8 +12,8 @@ truth between the samples (`ground_truth`), and metrics over all motions (`evalu
                    chain, and `original`, Hoffmann's coupling term on that action level
                    (Pairet et al., RA-L 2019; eq. 8 and 7)
 
-`evaluation` runs methods batch by batch. It also compares Hoffmann's coupling term and that of the
-paper at equal peak and area of the turning rate: the paper's dead-zone figure. `ground_truth`
-shares no code with the kernels that compute the motions, except the distance to an ellipsoid. Read
-`suites.py` first, then `evaluation.py`.
+`evaluation` runs methods batch by batch. For the paper's dead-zone figure it also compares
+Hoffmann's coupling term with that of the paper. Both terms then have turning rates of equal peak
+and area over the angle to the obstacle. `ground_truth` shares no code with the kernels that compute
+the motions, except the distance to an ellipsoid. Read `suites.py` first, then `evaluation.py`.
 """

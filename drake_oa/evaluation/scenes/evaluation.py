@@ -3,13 +3,16 @@
 A scene is a point, its goal and an ellipsoid. Metrics are the JSON data of an evaluation, in meters
 and seconds.
 
-The dead-zone figure of Pairet et al., RA-L 2019, compares two coupling terms of equal strength,
-which turn the motion away from an obstacle, on the same action level (equations of motion): the
-original term (eq. 7), gamma theta exp(-beta |theta|), with its published decay beta, at each gain
-gamma, and the dead-zone free term (eq. 8) with the same peak, gamma / (beta e), and the same area,
-gamma / beta^2 for theta > 0. theta is the angle between the heading and the direction of the
-obstacle's center. The decay kappa of the dead-zone free term with the distance is 0, as the
-original term does not depend on the distance.
+The dead-zone figure of Pairet et al., RA-L 2019, compares two coupling terms of equal strength on
+the same action level (equations of motion). Both terms turn the motion away from an obstacle. Their
+turning rates depend on theta, the angle between the heading and the direction of the obstacle's
+center:
+
+- Original term (eq. 7): gamma theta exp(-beta |theta|), with several gains gamma and the published
+  decay beta.
+- Dead-zone free term (eq. 8): same peak gamma / (beta e), and for theta > 0 same area
+  gamma / beta^2. Its decay kappa with the distance is 0, because the original term does not depend
+  on the distance.
 """
 
 from __future__ import annotations
@@ -127,10 +130,10 @@ def method_metrics(outcome: Outcome, settings: Sequence[Setting]) -> dict[str, A
     """Computes the metrics of one avoidance method over the scenes of a suite.
 
     The keys are those of `motion_statistics` (collisions, clearances, goal errors, path lengths),
-    and `seconds`, the computing time in all settings. With several settings, the statistics are
-    over the settings with a requested clearance and scaled duration, whose labels are in `covers`;
-    `settings` has the statistics of each setting. With several baselines (distances from start to
-    goal), `by_baseline` has the statistics of each.
+    and `seconds`, the computing time in all settings. With several settings, the statistics include
+    only the settings that have both a requested clearance and a scaled duration. `covers` then has
+    the labels of these settings, and `settings` the statistics of every single setting. With
+    several baselines (distances from start to goal), `by_baseline` has the statistics of each.
 
     Args:
         outcome: results of the method in all settings.
@@ -193,7 +196,7 @@ _COLUMNS = (
 )
 """Columns (metric, heading, format, scale) of tables of metrics in synthetic scenes.
 
-The column with the name of the row precedes them."""
+In a table, a column with the names of the rows precedes these columns."""
 
 
 def evaluation_tables(metrics: Mapping[str, Any], notes: Sequence[str] = ()) -> list[TextTable]:
@@ -251,9 +254,9 @@ def compare_terms(scenes: Scenes) -> list[dict[str, float]]:
             ahead.
 
     Returns:
-        A row for each gain "gamma". For the terms T = "original" and T = "dead_zone_free" it has
-        "T_head_on", the minimum clearance in the first scene [m], and "T_collisions", the number of
-        scenes with a collision.
+        A row for each gain, with the keys "gamma", "TERM_head_on" (minimum clearance in the first
+        scene [m]) and "TERM_collisions" (number of scenes with a collision). TERM is "original" for
+        Hoffmann's coupling term, "dead_zone_free" for the paper's.
     """
     setting = Setting(constrained=False, scale_time=False)
     rows = []

@@ -28,7 +28,7 @@ _REFINEMENT_SAMPLES = 33
 """Number of samples of the obstacle's distance in one refinement around the nearest sample."""
 
 SLACK = 1e-3
-"""Maximum clearance below the achievable one that does not count as a shortfall [m]."""
+"""Tolerance by which a motion's clearance may be below the achievable one without shortfall [m]."""
 
 
 @dataclass(frozen=True, eq=False)

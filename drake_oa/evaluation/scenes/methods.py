@@ -7,9 +7,9 @@
 `movement_primitives`: the package of that name. Its `DMP`, with default parameters (10 weights per
 dimension, steps of 0.01 s, compiled Runge-Kutta integration), imitates the straight minimum-jerk
 demonstration. It is executed with the package's `CouplingTermObstacleAvoidance3D` at the published
-gains (gamma 1000, beta 20/pi). That term depends only on the position of a point obstacle, here the
-obstacle's center: neither on the obstacle's size, nor on a clearance, nor on the setting. Requires
-the extra `baselines`: pip install 'drake_oa[baselines]'.
+gains (gamma 1000, beta 20/pi). That term avoids a point, here the obstacle's center.
+The obstacle's size and the setting, including the requested clearance, have no effect. The method
+requires the extra `baselines`: pip install 'drake_oa[baselines]'.
 """
 
 from __future__ import annotations

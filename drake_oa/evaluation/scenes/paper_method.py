@@ -3,16 +3,17 @@
 Both avoid obstacles by a coupling term, which turns the motion away from the obstacle's center. The
 action level (equations of motion) is that of `drake_oa.training.released_law`. Paper and released
 code leave open how the temporal scaling tau is computed and when a motion ends. The interpretation
-that agrees best with the paper's Table II: tau is the length of the path from start to goal through
-the obstacle's center, plus twice the sum of its largest semi-axis and the requested clearance
-Delta, over the baseline (distance from start to goal). A motion continues after the demonstrated
-duration T until it is within 0.4 mm of the goal, until 2 T at most.
+that agrees best with the paper's Table II: tau is an estimated path length, divided by the baseline
+(distance from start to goal). This path length is that of the two lines from start to obstacle
+center and from there to the goal, plus twice the sum of the obstacle's largest semi-axis and the
+requested clearance Delta. A motion continues after the demonstrated duration T until it is within
+0.4 mm of the goal, until 2 T at most.
 
 `paper`: coupling term (eq. 8) whose parameters the regressor chain computes in each step from
 lambda' and Delta. lambda' are the principal semi-axes of the obstacle's section with the P-plane,
 which is spanned by p_obs - p and v (obstacle's center p_obs, position p and velocity v of the
-motion). lambda1' is the one within 45 degrees of the line from start to goal, as in the training
-set and the released code. (If it were the one within 45 degrees of p_obs - p, lambda1' and lambda2'
+motion). lambda1' is the semi-axis within 45 degrees of the line from start to goal, as in the
+training set and the released code. (With p_obs - p instead of this line, lambda1' and lambda2'
 would be exchanged whenever an obstacle is passed.) If p_obs - p and v span no plane, the previous
 P-plane is used, initially the horizontal one, as in the released code. Passing sides are not
 selected, as the paper's synthetic experiments have neither table nor workspace. Negative alpha and
@@ -50,10 +51,11 @@ _PARALLEL = 1e-9
 
 The initial P-plane is then horizontal."""
 _MAX_NORMAL_CHANGE = 1e-9
-"""Maximum change of any component of the P-plane's unit normal without a new evaluation [-].
+"""Minimum change of the P-plane's normal that requires a new evaluation of the chain [-].
 
-The P-plane contains the velocity and the direction of the obstacle's center. After a larger change
-since its last evaluation, the regressor chain is evaluated again."""
+The P-plane contains the velocity and the direction of the obstacle's center. The regressor chain is
+evaluated in a step if a component of the plane's unit normal differs by more than this value from
+that at the last evaluation."""
 _HALF_LENGTH = 1e3
 """Semi-axis, normal to the P-plane, of the ellipsoid that replaces an obstacle in `sections` [m].
 
@@ -67,9 +69,9 @@ LONGEST = 2
 SHIPPED = ("paper_chain", "paper_chain_unconstrained", "paper_chain_running")
 """Names of the shipped regressor chains that were trained by the recipe of Pairet et al.
 
-The first has the requested clearance Delta as an input; the second does not. The third has it, and
-was trained on motions by the equations of this package (`drake_oa.policy`) instead of those in the
-authors' released code."""
+The first and the third chain have the requested clearance Delta as an input; the second does not.
+The first two were trained on motions by the equations in the authors' released code, the third on
+motions by the equations of this package (`drake_oa.policy`)."""
 
 
 def run(scenes: Scenes, setting: Setting) -> Motions:

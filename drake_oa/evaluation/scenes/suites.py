@@ -1,11 +1,11 @@
 """Suites of synthetic scenes: the distribution of scenes, and the settings in which methods run.
 
 Lengths are in meters; a baseline is the distance from start to goal, and x points from start to
-goal. The paper's box (section on novel scenarios of Pairet et al., RA-L 2019) is the set of
-obstacles whose extent along x is at least 5 cm from start and goal, whose center has y and z within
-+-0.4 m, and whose semi-axes are 2.5 to 25 cm (along x at most 20 cm at the 0.5 m baseline). In the
-random suites, scene i has the baseline BASELINES[i mod 4], so that scenes are evenly distributed
-over the baselines.
+goal. The random suites have obstacles in the paper's box (section on novel scenarios of Pairet et
+al., RA-L 2019). An obstacle in this box is along x at least 5 cm away from start and goal, and its
+center has y and z within +-0.4 m. Its semi-axes are 2.5 to 25 cm; at the 0.5 m baseline the first
+one, which is along x without a rotation, is at most 20 cm. Scene i of a random suite has the
+baseline BASELINES[i mod 4], so that scenes are evenly distributed over the baselines.
 
 Random numbers are those of `numpy.random.default_rng`: the same name, count and seed give the same
 scenes.
@@ -174,18 +174,18 @@ def _boxed(
 ) -> Scenes:
     """Draws scenes with a random obstacle in the box of Pairet et al. around the line to the goal.
 
-    In the box are obstacles whose extent along the line (x axis) is at least 5 cm from start and
-    goal, whose center has y and z within +-0.4 m, and whose semi-axes are 2.5 to 25 cm. Obstacles
-    that are too long to be 5 cm from both start and goal get a center of NaN.
+    An obstacle in the box is along the line (x axis) at least 5 cm away from start and goal, its
+    center has y and z within +-0.4 m, and its semi-axes are 2.5 to 25 cm. An obstacle that is too
+    long to be 5 cm from both start and goal gets a center of NaN.
 
     Args:
         rng: random generator.
         count: number of scenes.
         baseline: distance from start to goal [m].
         posed: whether orientations are random; else obstacles are axis-aligned.
-        own_extent: whether the minimum distance from start and goal is measured from the obstacle's
-            own extent; else from that of the longest obstacle, as in the authors' demo program, so
-            that at the 0.5 m baseline all obstacles are in the middle.
+        own_extent: whether each obstacle's own extent along x limits the position of its center.
+            Otherwise the extent of the longest possible obstacle limits all centers, as in the
+            authors' demo program; at the 0.5 m baseline they are then all in the middle.
     """
     a = rng.uniform(*_SEMI_AXES, (count, 3))
     longest = 0.5 * baseline - MARGIN
@@ -244,13 +244,14 @@ def _dead_zone(_: Generator, count: int) -> Scenes:
 
 
 def _familiar_settings() -> tuple[Setting, ...]:
-    """Returns the 12 settings for familiar scenes, as in Pairet et al., RA-L 2019.
+    """Returns the 12 settings of the suite `familiar`, as in Pairet et al., RA-L 2019.
 
-    Familiar scenes have an ellipse of the training set. The settings are six models, each with the
-    temporal scaling tau and with tau = 1. A model is a regressor chain, which predicts the
-    parameters of the coupling term, and a requested clearance Delta. The inputs of the chain
-    RC(lambda', Delta) are the semi-axes lambda' of the ellipse, and Delta. Those of RC(lambda') are
-    the semi-axes alone; its Delta is 0.
+    The scenes of this suite have the ellipses of the training set. Each of six models gives two
+    settings: with the temporal scaling tau, and with tau = 1. Five models are the regressor chain
+    RC(lambda', Delta) with one of the requested clearances Delta in `FAMILIAR_CLEARANCES`. The
+    sixth is the chain RC(lambda') without a requested clearance (Delta = 0). A regressor chain
+    predicts the parameters of the coupling term, from the semi-axes lambda' of the ellipse alone or
+    from lambda' and Delta.
     """
     models = {f"RC(lambda',{delta:g})": delta for delta in FAMILIAR_CLEARANCES}
     return tuple(
