@@ -1,14 +1,18 @@
 """Training of the regressor chains that inference evaluates: `drake-oa train`.
 
-In: a recipe (training set, and numbers of rows and iterations). Out: a .safetensors file for each
-chain, with its networks, the range of its inputs, and its provenance (package version, date, digest
-of the source). The package is not imported by systems that run on the robot. A regressor chain
-predicts the parameters kappa, psi and alpha of a coupling term, which turns the motion away from an
-obstacle, each from the inputs and the parameters before it. The inputs are lambda1' and lambda2',
-the semi-axes of the obstacle's section along and across the baseline (line from start to goal), and
-the requested clearance Delta. Lengths are in units of the baseline's length L, kappa in 1/L^2, psi
-in rad, and alpha in 1/T (T: demonstrated duration); in the recipe `paper` alpha is in rad/s and
-L = 1 m.
+A regressor chain predicts the parameters kappa, psi and alpha of a coupling term, which turns the
+motion away from an obstacle. It has one network for each parameter, in this order. The inputs of a
+network are the inputs of the chain, and the parameters that the networks before predict. The inputs
+of the chain are lambda1' and lambda2', the semi-axes of the obstacle's section along and across the
+baseline (line from start to goal), and in RC(lambda', Delta) the requested clearance Delta.
+
+Lengths are in units of the baseline's length L, kappa in 1/L^2, psi in rad, and alpha in 1/T (T:
+demonstrated duration); in the recipe `paper` alpha is in rad/s and L = 1 m.
+
+A recipe states the training set, and the numbers of rows and iterations. The training writes a
+.safetensors file for each chain, with the networks, the range of the chain's inputs, and the
+provenance (package version, date, digest of the source). Systems that run on the robot do not
+import this package.
 
 Recipe `paper` (`PaperRecipe`): Table I of the paper (Pairet et al., RA-L 2019).
 

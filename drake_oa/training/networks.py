@@ -151,19 +151,19 @@ def train_network(
     weight: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
 ) -> Network:
-    """Makes a network, trains it on rows of inputs and targets, and returns it with its scaling.
+    """Makes a network and trains it on rows of inputs and targets, which are scaled to [-1, 1].
 
     Args:
-        x: (N, d) inputs, in random order.
-        y: (N,) targets.
+        x: (N, d) unscaled inputs, in random order.
+        y: (N,) unscaled targets.
         seed: seed of the initial weights.
         rounds: rounds of training, in order, each with a maximum number of iterations and a number
             of rows, counted from the first one.
         weight: (N,) weights of the rows.
-        bounds: (d + 1,) minima and (d + 1,) maxima of inputs and target, for scaling to [-1, 1].
+        bounds: (d + 1,) minima and (d + 1,) maxima of inputs and target, scaled to -1 and 1.
 
     Returns:
-        Trained network, which scales inputs and output itself.
+        Trained network from unscaled inputs to unscaled outputs; the scaling is part of it.
     """
     low, high = bounds
     gain = 2.0 / np.where(high > low, high - low, 1.0)

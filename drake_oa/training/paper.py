@@ -36,11 +36,11 @@ NEAR_GOAL = 1.3
 """Maximum distance from the goal at the end of a motion that is used for training or test [m]."""
 
 SATURATED = 5e-4
-"""Maximum difference of the start's distance from the obstacle and the motion's clearance [m].
+"""Tolerance within which the start counts as the point of a motion nearest to the obstacle [m].
 
-Up to this difference the start counts as the point of the motion nearest to the obstacle. Such
-motions do not train the strength alpha of the coupling term in the chain with requested clearance.
-"""
+The start's distance from the obstacle then exceeds the motion's clearance by at most this value. In
+the chain with requested clearance, the network for the strength alpha of the coupling term is
+neither trained nor tested on such motions."""
 
 ACTION_LEVELS = {
     "released": ("released code: tau^2 on the spring, 1000 steps of 3 ms", "rad/s"),
@@ -135,7 +135,7 @@ class PaperRecipe(NamedTuple):
 _SINGLE_ROUND = (Round(60, 5000),)
 """Rounds of training a network without refinement: 60 iterations on 5,000 rows."""
 _REFINED_ROUNDS = (Round(60, 5000), Round(20, 40000))
-"""Rounds of training a network with refinement: few rows first, then fewer iterations on more."""
+"""Rounds of training a network with refinement: 60 iterations on 5,000 rows, 20 on 40,000."""
 _ROUNDS = {
     CHAINS[0]: ((Round(60, 100),), _SINGLE_ROUND, _REFINED_ROUNDS),
     CHAINS[1]: (_REFINED_ROUNDS, _REFINED_ROUNDS, (Round(300, 5000), Round(100, 40000))),
@@ -180,8 +180,8 @@ FILES = {
 Errors = dict[str, dict[str, float]]
 """Errors of a regressor chain: target -> errors of its network.
 
-The keys of a network are `train` and `test`, the normalized mean squared errors on these rows, and
-`rows`, the number of all rows. Targets are kappa, psi and alpha."""
+The targets are kappa, psi and alpha. The keys of a network are `train` and `test`, the normalized
+mean squared errors on training and test rows, and `rows`, the number of both together."""
 
 
 def train_paper(

@@ -5,9 +5,9 @@ It simulates the motions of the paper's training set and tables.
 Differences from this project's action level (`drake_oa.policy`): the coupling term C, which turns
 the motion away from an obstacle, is an acceleration that depends on the velocity, instead of an
 exact rotation of the scaled velocity tau T v (temporal scaling tau, demonstrated duration T);
-spring and damper are multiplied by tau^2, instead of scaling time; the forcing term f is not
-scaled; and integration is semi-implicit Euler. With the position x, velocity v, goal g and time
-step h::
+spring and damper are multiplied by tau^2, instead of scaling time; the forcing term f does not
+depend on tau; and integration is semi-implicit Euler. With the position x, velocity v, goal g and
+time step h::
 
     a = tau^2 alpha_x (beta_x (g - x) - v) + f + C
     v += h a,   x += h v
@@ -82,10 +82,12 @@ STEPS = Steps(1000, 0.003)
 def released_forcing(steps: Steps) -> FloatArray:
     """Computes the forcing term in the code of Pairet et al. for a straight demonstration of 1 m.
 
-    The forcing term makes a movement primitive reproduce its demonstration. The demonstration has
-    constant speed. Its forcing term is fitted, for each basis function, by a quadratic polynomial
-    of the phase. The range of the phase is divided into as many equal parts as there are basis
-    functions; each is a Gaussian with the mean and variance of the phase's samples in one part.
+    The forcing term makes a movement primitive reproduce its demonstration, here one of constant
+    speed. The range of the phase is divided into `N_BASIS` equal parts. Each part gives a basis
+    function: a Gaussian with the mean and variance of the phase's samples in this part, normalized
+    by the sum of all Gaussians. A quadratic polynomial of the phase is fitted to the
+    demonstration's forcing term for each basis function, with this function as weight. The result
+    is the sum of the polynomials times their basis functions.
 
     Args:
         steps: S time steps of the demonstration.
