@@ -60,10 +60,10 @@ def synthetic(
       min. clearance [m]       minimum clearance over all scenes
       scenes with shortfall    number of scenes with more than 1 mm less than the achievable
                                clearance min(Delta, distance of start, distance of goal)
-      max. goal error [mm]     maximum distance to the goal at the end of a motion. With the
-                               demonstrated duration T and the temporal scaling tau, the end is at
-                               the arrival, between tau T and 2 tau T for verified, and between T
-                               and 2 T for paper and original; or at T for movement_primitives
+      max. goal error [mm]     maximum distance to the goal at the end of a motion. Motions end
+                               on arrival: of verified between tau T and 2 tau T, of paper and
+                               original between T and 2 T. Motions of movement_primitives end at
+                               T. T is the demonstrated duration, tau the temporal scaling
       mean path ratio          mean length of the path over that of the straight line
 
     All columns are computed in float64, independently of the methods, from motions that are
@@ -79,8 +79,8 @@ def synthetic(
                  of a 1 m line; the number of scenes must be a square (100)
       dead-zone  the scenes of figure_dead_zone: a sphere of 2.5 cm on or beside the middle of a
                  1 m line (41)
-      demo       the scenes of table2: as novel, but the center of every obstacle is as far from
-                 start and goal as the longest obstacle requires (4000)
+      demo       the scenes of table2: as novel, but every obstacle's center is at least as far
+                 from start and goal as the longest possible obstacle requires (4000)
 
     Methods (default: paper and verified):
 
@@ -223,8 +223,8 @@ def panda(
                    sudden1 to 3 (a box appears on the nominal path), floating1 and 2 (three boxes
                    fly to and fro in front of the robot), goal_blocked1 and 2 (a box appears at the
                    goal), moving_goal_blocked1 to 4 (boxes fly to and fro through the goal)
-                   (default: these 11); floating1_at_0.18, _at_0.5, _at_1.0 and _at_1.6: floating1
-                   with boxes of this speed [m/s]
+                   (default: all of these 11). Further levels: floating1_at_0.18, _at_0.5, _at_1.0
+                   and _at_1.6, which are floating1 with this speed of the boxes [m/s]
 
     Methods (default: the first four):
 
@@ -331,7 +331,8 @@ def mbm(
     which no object is near the camera or the beginning of its optical axis. An object that the goal
     grasps (the tool point is inside) is omitted. The requested clearance is 3 cm, or the clearance
     of the whole robot at start or goal if that is less, but at least 1 mm. The motion guard, the
-    system that commands the joints, requires at most 4 mm from resting obstacles.
+    system that commands the joints, requires a distance of 4 mm from resting obstacles, or less if
+    the arm or its verified motion is closer.
 
     Success: the arm ends within 1 cm and 15 degrees of the goal, without contact, and with each
     joint at most 1 mrad beyond its limit. Methods:
@@ -383,10 +384,11 @@ def sources(
     """Evaluate the method verified, and its variants that lack one source of motions each.
 
     Sources of the executed motion: nominal (the nominal motion), chain (parameters of the regressor
-    chain of Pairet et al., RA-L 2019, with heading guidance), search (among simulated motions) and
-    joint_path (a joint path that the movement primitives imitate). The table is that of `drake-oa
-    evaluate panda`, for `verified` and for `verified` without chain, without search and without
-    joint_path. Lines below it count the scenes in which a motion of each source was executed.
+    chain of Pairet et al., RA-L 2019, with a coupling term that turns the motion to the selected
+    side), search (among simulated motions) and joint_path (a joint path that the movement
+    primitives imitate). The table is that of `drake-oa evaluate panda`, for `verified` and for
+    `verified` without chain, without search and without joint_path. Lines below the table state for
+    each source in how many scenes one of its motions was executed.
 
     For example:
 

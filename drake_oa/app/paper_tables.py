@@ -124,8 +124,9 @@ def figure_familiar(
     Each of 100 ellipses is evaluated in 12 settings: regressor chains without requested clearance,
     RC(lambda'), and with one of five requested clearances, RC(lambda', Delta), each with and
     without temporal scaling. Tables have the columns of `drake-oa evaluate SUITE`. The first table
-    has a row for each method, over the settings with Delta and temporal scaling. The other tables
-    have a row for each setting, which --json has under "settings".
+    has a row for each method, with metrics over the settings that have both Delta and temporal
+    scaling. A further table for each method has a row for each setting; --json has these rows under
+    "settings".
 
     For example:
 

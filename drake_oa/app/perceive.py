@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from drake_oa.perception.recordings import RecordedFrame
 
 _ENCLOSED_TOLERANCE = 1e-9
-"""Distance by which a point may exceed an ellipsoid and still count as enclosed, relative to the
-distance from center to surface [-]."""
+"""Tolerance within which a point outside an ellipsoid still counts as enclosed [-].
+
+It is the distance from the point to the surface along the line to the center, relative to the
+distance from the center to the surface on this line."""
 _REPEATS = 5
 """Number of repetitions of the computation for a file, whose median processor time is reported."""
 
@@ -61,8 +63,8 @@ def perceive(
 
       file                   name of the file
       plane rms [mm]         RMS distance of the points of the table to its plane
-      cluster                number of the cluster; none: no cluster was found. A line below the
-                             table then names the clouds without a pose
+      cluster                number of the cluster; none: no cluster was found. If a cloud without
+                             a camera pose has none, a line below the table names its file
       points                 number of pixels or points of the cluster
       largest semi-axis [m]  largest semi-axis of the ellipsoid
       inside                 all: the ellipsoid contains all dilated points; else NOT ALL

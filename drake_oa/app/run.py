@@ -134,9 +134,9 @@ def run(  # noqa: PLR0913
     The arm is on --lcm-url, too (lcm: the driver of a Panda, or `drake-oa station`), or at --host
     (franka: a Franka Research 3). True obstacles are unknown then, and the clearances are "-".
 
-    Exit status: 0 if the tool of the avoiding motion reached the goal, or the motion reached
-    --duration; 1 if it did not, if the robot was in contact, or if an output could not be written;
-    2 for invalid input; 130 if interrupted, 143 by SIGTERM. After a failure or an interruption the
+    Exit status: 0 if the avoiding motion ended with the tool at the goal, or at --duration; 1 if it
+    ended otherwise, if the robot was in contact, or if an output could not be written; 2 for
+    invalid input; 130 if interrupted, 143 by SIGTERM. After a failure or an interruption the
     report and the outputs have the motions until then.
 
     --set A.B=C replaces field B of block A of the scenario. C is YAML; a tag replaces the whole

@@ -65,11 +65,11 @@ def open_scenario(name: str, overrides: Sequence[str], *outputs: Path | None) ->
 
 @contextlib.contextmanager
 def build_errors() -> Iterator[None]:
-    """Converts a RuntimeError in the `with` block, by which Drake reports a wrong model or camera,
-    to a ScenarioError.
+    """Converts a RuntimeError of Drake in the `with` block to a ScenarioError.
 
-    Commands report a ScenarioError in one line. A MotionInterruptedError, the error of a simulation
-    that has started, is not converted.
+    Drake raises a RuntimeError for a wrong model or camera of a scenario; commands report a
+    ScenarioError in one line. A MotionInterruptedError, the error of a simulation that has started,
+    is not converted.
     """
     from drake_oa.common.config import ScenarioError
     from drake_oa.runs.simulation import MotionInterruptedError
@@ -170,8 +170,9 @@ def check(scenario: ScenarioName, /, *, overrides: Overrides = (), plot: Path | 
 
     Lines below the table state the requested clearance, the achievable clearance if that is less,
     joints whose speed or torque is not limited, models that are not obstacles, and the field of
-    view of each camera. A last line states which fraction of the space near the arm, along its
-    nominal motion, no camera observes to be free.
+    view of each camera. A last line states the fraction of the space near the arm, along its
+    nominal motion, that no camera observes to be free, for example because it is outside all
+    images.
 
     Exit status: 0 without errors, 1 with errors or with a contact at start or goal, 2 if the file
     cannot be read.
