@@ -33,8 +33,8 @@ _SLOT_COUNT = 8
 """Number of obstacles for which Meshcat's scene tree has objects. An obstacle uses the slot whose
 number is its ID modulo this number."""
 _SHORTEST_SEGMENT = 2e-3
-"""Minimum length of each drawn segment of the executed path [m]. A frame at which the tool point is
-nearer to the end of the last segment draws none."""
+"""Minimum length of each drawn segment of the executed path [m]. No segment is drawn while the tool
+point is within this distance of the end of the last segment."""
 
 
 class MeshcatOverlay(LeafSystem):
@@ -66,8 +66,8 @@ class MeshcatOverlay(LeafSystem):
     start to goal. The rings of an obstacle are centered at the point of the baseline closest to the
     obstacle, in the order of `Route.costs` from the inside out. Green is cost 0, yellow is 0.5, red
     is 1. A magenta line points in the selected direction. Rings and line are drawn only for
-    obstacles past which heading guidance leads the motion (`Route.remaining_clearance` is positive,
-    or empty).
+    obstacles with heading guidance, the coupling term that turns the motion to the selected side:
+    `Route.remaining_clearance` is positive, or empty.
 
     The objects are under "/drake_oa" in the scene tree, in the folders "perception", "descriptor",
     "decision" and "motion". A recording of Meshcat stores transforms and properties, but no
@@ -174,8 +174,9 @@ class MeshcatOverlay(LeafSystem):
         self._meshcat.SetTransform(path, RigidTransform(R, 0.5 * (p_from + p_to)))
 
     def _show_path(self, path: str, visible: bool, time: float) -> None:
-        """Shows or hides all objects below a path of Meshcat's scene tree, in a recording from a
-        given simulated time on.
+        """Shows or hides all objects below a path of Meshcat's scene tree.
+
+        The live view changes at once. In a recording the change applies from a simulated time on.
 
         Args:
             path: path in the scene tree.

@@ -64,8 +64,8 @@ _LEGEND = (
     (_css(drawing.ELLIPSOID), "ellipsoid of an obstacle", "descriptor/.*/ellipsoid"),
     ("#777", "observed points", "perception/cloud"),
 )
-"""Rows of the panel's legend: CSS color, text, and path in Meshcat's scene tree, in which each part
-is a regular expression. A row is displayed while an object at a matching path is visible."""
+"""Rows of the panel's legend: CSS color, text, and path in Meshcat's scene tree. Each name in the
+path is a regular expression. A row is displayed while an object at a matching path is visible."""
 
 
 def _resource(name: str) -> str:
@@ -203,8 +203,9 @@ class LivePage:
         """Sends the number of the next frame to the live page, if the page has drawn the previous
         one, and waits if the page is late.
 
-        Up to `_MAX_LAG` after the previous number, the method returns at once, even if that frame
-        is not drawn. Later it waits until the page has drawn the frame or counts as closed.
+        As long as the previous number was sent less than `_MAX_LAG` ago and its frame is not drawn,
+        the method returns at once without sending. After this time it waits for the page: once the
+        frame is drawn, it sends the next number; if the page counts as closed, it only returns.
         """
         while self._drawn_frame < self._frame:
             now = time.monotonic()

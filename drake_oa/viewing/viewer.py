@@ -100,7 +100,7 @@ def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:
 @contextlib.contextmanager
 def recording(meshcat: Meshcat | None) -> Iterator[None]:
     """Records Meshcat's scene in the `with` block, and makes the recording available in the browser
-    at its end, even after an exception.
+    at the end of the block, even after an exception.
 
     If `meshcat` is None, nothing is recorded.
     """
