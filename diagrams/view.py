@@ -19,11 +19,11 @@ from drake_oa.viewing.viewer import add_world_visualizer, set_scene_style
 def add_view(
     signals: SignalBuilder, scenario: Scenario, station: StationModel | None, meshcat: Meshcat
 ) -> None:
-    """Adds Drake's visualizer, and the system overlay that draws intermediate results of layers.
+    """Adds Drake's visualizer, and the system overlay that draws results of other systems.
 
     The overlay draws point cloud, ellipsoids, paths and cost rings (costs of passing an obstacle in
-    each direction). If the layers of `inference: !Paper` compute no cost rings, a system that
-    computes them is added for the overlay only.
+    each direction). If the diagram lacks cost rings, as with `inference: !Paper {guided: false}`, a
+    system that computes them is added for the overlay only.
     """
     if isinstance(scenario.inference, Paper) and "shown_route" not in signals:
         outputs = {"decision": None, "route": "shown_route"}

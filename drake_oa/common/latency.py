@@ -170,7 +170,9 @@ class PendingDecision(Frozen, Generic[T]):
         return self.pending if self.due <= time else None
 
     def activate(self) -> Self:
-        """Returns a `PendingDecision` in which the pending decision, if any, is active."""
+        """Returns a `PendingDecision` whose active decision is the pending one; `self` if none is
+        pending.
+        """
         if self.pending is None:
             return self
         return dc.replace(self, active=self.pending, pending=None, due=math.inf)

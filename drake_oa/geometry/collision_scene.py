@@ -477,8 +477,9 @@ class CollisionScene(Frozen):
         return bool(self.geometries.moving.any())
 
     def same_as(self, other: CollisionScene) -> bool:
-        """Checks whether another scene is the same object, or has the same geometries and labels
-        without any moving geometry.
+        """Checks whether another scene is the same object, or has the same geometries and labels.
+
+        Two different objects with a moving geometry always count as different.
         """
         if self is other:
             return True

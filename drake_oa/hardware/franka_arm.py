@@ -67,14 +67,15 @@ class FrankaArm:
     The executed time is the simulated time whose planned positions `send` receives. A target
     consists of the planned positions at a later time, the executed time plus the lookahead. The
     robot's controller plans each motion so that it can stop at the target; the arm therefore lags
-    behind the target. The lookahead compensates the lag of the controller's desired positions
-    behind the executed time: it is the integral of this lag, and at most `LEAD`. Without new
-    targets the arm stops on the planned motion.
+    behind the target. The lookahead compensates the lag [s] of the controller's desired positions
+    behind the executed time: with each target it changes by a fraction (`_LAG_GAIN`) of the present
+    lag, within 0 and `LEAD`. Without new targets the arm stops on the planned motion.
 
     Attributes:
         name: address of the robot.
         period: wall time between two targets [s].
-        handler: handler of the robot's motion generator; None before the first target.
+        handler: object of the vendor's library that sends targets to the robot; None before the
+            first target.
     """
 
     period = TARGET_PERIOD

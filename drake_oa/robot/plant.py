@@ -201,7 +201,9 @@ class RobotPlant:
 
     @property
     def limits(self) -> RobotLimits:
-        """Names and limits of the robot's joints, in the order of the plant."""
+        """Names of the robot's joints and actuators in the order of the plant, with limits of
+        position, velocity and effort.
+        """
         plant, robot = self.plant, self.instance
         actuators = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices(robot)]
         return RobotLimits(

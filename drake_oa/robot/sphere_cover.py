@@ -44,8 +44,8 @@ must cover."""
 _EDGE_SPACING = 2.7
 """Lattice spacing of candidate sphere centers, relative to the requested protrusion of the spheres
 from the body [-]. If this ratio is below 2 sqrt(2), spheres along the edge of a box cover the edge.
-The spacing is then divided by 1, 2 or 3, so that the fewest spheres are required. It is larger if
-there would be more than `_MAX_CENTERS` centers."""
+Lattices with the spacing divided by 1, 2 and 3 are compared, and the one that needs the fewest
+spheres is used. The spacing is larger if there would be more than `_MAX_CENTERS` centers."""
 _MAX_ITERATIONS = 4
 """Maximum number of repetitions of the selection of spheres that cover a body. Before each
 repetition, uncovered points of the body are added to the sample points. After the last one, the

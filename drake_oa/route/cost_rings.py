@@ -431,17 +431,19 @@ def sequence_costs(
     """Computes the costs of passing N groups of obstacles on K sides each, for `best_sequence`.
 
     The path leads from the start via one passing point per group to the goal; a leg is a straight
-    segment between two of these points. Each obstacle of a group has a passing point with the
-    requested clearance. The group has the one that is farthest from the line from start to goal.
-    The first group does not obstruct the leg from the start, and the last group does not obstruct
-    the leg to the goal, because coupling terms bend the motion around these groups.
+    segment between two of these points. Each single obstacle has a passing point on each side, with
+    the requested clearance; a group uses that of its obstacle which is farthest from the line from
+    start to goal. Obstacles on a leg cost more, except those of the first group on the leg from the
+    start, and those of the last group on the leg to the goal: coupling terms bend the motion around
+    these.
 
     Args:
         scene: M obstacles and K directions in which they can be passed.
         groups: row numbers of the obstacles in each group, from start to goal.
-        rings: (N, K) sums of the cost rings except the length ring, for each group and side.
-        shut: (N, K) whether a cost ring forbids the direction, which then costs more than all other
-            terms together.
+        rings: (N, K) sums of the cost rings (costs of passing an obstacle in each direction) for
+            each group and side, without the ring of the path length.
+        shut: (N, K) whether a cost ring forbids the direction; the direction then costs more than
+            all other terms together.
         counts_length: whether the path length is part of the cost.
 
     Returns:

@@ -406,8 +406,9 @@ class MotionGuard(LeafSystem):
         """Computes the value (2m,) of the output port path_state: the state of the robot [rad, m,
         rad/s, m/s] from which the verified motion (checked by simulation) is predicted.
 
-        The value is the measured state. While a maneuver has moved the arm away from the verified
-        motion, the arm's joints are those on this motion, unless the arm is stuck.
+        The value is the measured state, with one exception: while a maneuver has moved the arm away
+        from the verified motion, the joints of the arm are replaced by those on this motion. They
+        are not replaced if the arm is stuck, that is, makes no progress in returning.
         """
         x, state = self._robot.Eval(context).copy(), self._read(context)
         if not state.is_on_path and not state.is_stuck:

@@ -44,8 +44,8 @@ class TorqueSaturation:
 
 @dataclass(config=BLOCK)
 class ModelError:
-    """Fault block of a controller whose inertial parameters differ from those of the simulated
-    robot.
+    """Block of a scenario's `faults`: the controller's inertial parameters differ from those of the
+    simulated robot.
     """
 
     inertias: str = "package://drake_oa/panda/uniform_density.yaml"

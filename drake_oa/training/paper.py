@@ -58,11 +58,13 @@ class PaperSet(NamedTuple):
 
     Attributes:
         values: (N, 5) semi-axes lambda1' and lambda2' of the ellipse [m], and parameters kappa
-            [1/m^2], psi [rad] and alpha of the coupling term. The unit of alpha is rad/s by the
-            equations in the code of Pairet et al., 1 / demonstrated duration by this project's.
+            [1/m^2], psi [rad] and alpha of the coupling term. The unit of alpha is rad/s if the
+            motions were simulated by the equations of Pairet et al., and 1 / demonstrated duration
+            if by those of this project.
         clearance: (N,) minimum distance of the motion to the ellipse, the chain's input Delta [m].
         goal_error: (N,) distance to the goal at the end of the motion [m].
-        rollouts: number of rolled-out motions of the lattice.
+        rollouts: number of simulated motions, one for each point of a grid of ellipses and
+            parameters; N of them have the clearance.
     """
 
     values: FloatArray

@@ -52,9 +52,10 @@ WARNING = 0.1
 """Minimum time between the observation of an obstacle's velocity and the start of a motion that
 avoids the obstacle, for a contact to count as avoidable by view [s]."""
 VELOCITY_AGE = 0.2
-"""Duration of the interval in which an obstacle's velocity must be observed for a contact to count
-as avoidable by view [s]. The interval ends 0.1 s (`WARNING`) before the latest start of a motion
-that avoids the contact."""
+"""Duration of the interval in which perception must observe the obstacle's velocity at least once
+for a contact to count as avoidable by view [s], that is, by what the cameras had observed.
+
+The interval ends 0.1 s (`WARNING`) before the latest start of a motion that avoids the contact."""
 VELOCITY_TOLERANCE = 0.2
 """Maximum error of an observed obstacle velocity that counts as correct, as a fraction of the true
 speed [-]."""

@@ -204,9 +204,10 @@ _FLOATING_RANGES = (0.8, 1.0), 1.2, 0.2
 DRPBench levels `floating` [m]: range of the distance at which a box starts, distance at which a box
 reverses, and maximum offset along each world axis of the place toward which a box flies."""
 _GOAL_RANGES = (0.5, 0.6), 1.0, 0.01
-"""Distances from the goal that determine the lines of flying boxes in the DRPBench levels
-`moving_goal_blocked` [m]: range of the distance at which a box starts, distance at which a box
-reverses, and maximum offset along each world axis of the place toward which a box flies."""
+"""Parameters of the straight lines on which boxes fly to and fro in the DRPBench levels
+`moving_goal_blocked` [m]: range of the distances from the goal at which a box starts; distance from
+the goal at which it reverses; and maximum offset, along each world axis, from the goal to the place
+toward which it flies."""
 _BASE_RADIUS = 0.25
 """Radius of a vertical cylinder around the robot's base at which flying boxes reverse [m]."""
 _MIN_X = 0.1

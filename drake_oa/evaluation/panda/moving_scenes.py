@@ -146,12 +146,12 @@ def moving_objects(
         random: source of random numbers.
         hard: whether obstacles have maneuvers, as in the kind `moving_hard`: they enter the image
             from outside, change speed, turn, stop or reverse.
-        max_height: maximum height of a moving obstacle's center [m].
+        max_height: maximum z of a moving obstacle's center in the world frame [m].
 
     Returns:
-        Function from a nominal motion to obstacles; it returns None if the obstacles cannot be
-        placed for this motion by the conditions in the module's docstring, for example that the
-        first one hits the robot.
+        Function from a nominal motion to obstacles. It returns None if no drawn placement satisfies
+        the conditions in the module's docstring, for example that the first obstacle hits the robot
+        on the nominal motion, and that no obstacle passes through the base.
     """
     fewest, most = _HARD_COUNTS if hard else _COUNTS
     count, resting = random.integers(fewest, most + 1), int(random.integers(MAX_RESTING + 1))
