@@ -53,7 +53,7 @@ WARNING = 0.1
 avoids the obstacle, for a contact to count as avoidable by view [s]."""
 VELOCITY_AGE = 0.2
 """Duration of the interval in which perception must observe the obstacle's velocity at least once
-for a contact to count as avoidable by view [s], that is, by what the cameras had observed.
+for a contact to count as avoidable by view, that is, from the observations before it [s].
 
 The interval ends 0.1 s (`WARNING`) before the latest start of a motion that avoids the contact."""
 VELOCITY_TOLERANCE = 0.2
