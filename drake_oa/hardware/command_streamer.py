@@ -149,8 +149,8 @@ class SharedTrajectory(ctypes.Structure):
         self._planned_count += 1
 
     def write_measured(self, q: FloatArray, v: FloatArray) -> None:
-        """Appends the joint positions q (7,) [rad] and velocities v (7,) [rad/s] that the arm's
-        status reports to the shared memory.
+        """Appends a measured state to the shared memory: joint positions q (7,) [rad] and
+        velocities v (7,) [rad/s] from the arm's status message.
         """
         self._measured[self._measured_count % _ROWS][:] = [*q, *v]
         self._measured_count += 1

@@ -606,12 +606,12 @@ class _FrameUpdate:
     def _update_evidence(
         self, association: Association, comparison: _Comparison, is_behind: BoolArray
     ) -> None:
-        """Updates the evidence (supporting less contradicting frames) of the remembered points, and
-        deletes points without evidence.
+        """Updates the evidence of the remembered points, and deletes points without evidence.
 
-        The evidence of a point increases by 1 near an observed point. In free space it becomes at
-        most 1, and 0 if it was 1. At another surface, or behind its own obstacle, it decreases by
-        1. The module's docstring has the complete table.
+        Evidence is a count of frames that support the point minus frames that contradict it. It
+        increases by 1 near an observed point. In free space it falls to 1, or from 1 to 0. At
+        another surface, or behind its own obstacle, it decreases by 1. The module's docstring has
+        the complete table.
 
         Args:
             association: assignment of the frame's points and clusters to tracks.

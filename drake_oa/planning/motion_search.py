@@ -120,9 +120,10 @@ class PlanningInputs(Frozen):
         q: (n,) current configuration of the arm [rad].
         scene: collision geometry of the obstacles at rest and of the environment.
         ellipsoids: ellipsoids of the obstacles, dilated by the tool, so that the tool is a point.
-        coupling: parameters of one coupling term (turning rate) per obstacle, from the regressor
-            chain.
-        route: side selected by cost rings for passing each obstacle, with the costs of all sides.
+        coupling: parameters of one coupling term (turning rate) per obstacle, which the regressor
+            chain predicts from its ellipsoid and the requested clearance.
+        route: side on which each obstacle shall be passed, selected by cost rings (costs of all
+            directions around it), and these costs.
     """
 
     policy: PolicyState

@@ -41,8 +41,10 @@ _WARMUP_DONE = 0.3
 """Duration of the warm-up, in simulated time, in which each layer is evaluated at least once before
 the arm moves [s]."""
 _IMAGE_DELAY = 0.05
-"""Delay of real camera images, in wall time, that a hardware run tolerates: the maximum age of an
-observation at full speed is raised by this delay and by `LEAD` [s]."""
+"""Delay of real camera images, in wall time, that a hardware run tolerates [s].
+
+The age of an observation above which the motion guard slows the arm is raised by this delay and by
+`LEAD`, the time by which planned positions are ahead of the arm."""
 
 
 @dataclass(frozen=True)

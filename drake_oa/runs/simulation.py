@@ -287,8 +287,8 @@ class MotionMonitor:
         return _CONTINUE
 
     def positions(self, root: Context) -> tuple[FloatArray, FloatArray]:
-        """Returns the present positions (1, nq) of the robot and (1, n) of the whole plant [rad,
-        m]; without a robot both are (1, 0).
+        """Returns the present positions [rad, m] of the robot, (1, n), and of the whole plant, (1,
+        nq). Both are (1, 0) for a scenario without a robot, which has no plant.
         """
         if self._plant is None:
             return np.zeros((1, 0)), np.zeros((1, 0))

@@ -45,7 +45,7 @@ class GuardParameters:
     contact_time: float = Field(default=0.5, ge=0.0, le=60.0)
     """Time after a contact during which the arm does not advance on the verified motion (checked by
     simulation), and maneuvers move no point of the arm faster than `v_unseen`, the maximum speed
-    toward unobserved space [s]. Raising it makes the arm return more slowly."""
+    toward unobserved space [s]. Raising it makes the arm return to this motion more slowly."""
     obstacle_speed: float = Field(default=0.0, ge=0.0, le=10.0)
     """Maximum speed of obstacles that the checks of passive motion safety assume [m/s]; 0: no
     checks. With these checks, a part of the arm that a moving obstacle may reach at this speed is

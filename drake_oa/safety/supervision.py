@@ -237,8 +237,8 @@ def monitor_guard(
         decision: active decision of the guard.
         time: current time [s].
         is_late: whether the decision has expired because no newer one was completed in time.
-        has_moving: whether an obstacle moves, or moved less than 2 s ago. If not, a wait or
-            maneuver is a lasting cause, which is not expected to end by itself.
+        has_moving: whether an obstacle moves, or moved less than 2 s ago. If not, the limit during
+            a wait or a maneuver is not expected to end by itself (a lasting cause of a hold).
     """
     if is_late:
         reason = "no decision of the motion guard in time"

@@ -34,7 +34,8 @@ from drake_oa.policy.rollout import Scene
 Method = Callable[[Scenes, Setting], Motions]
 """Method of obstacle avoidance: function from N scenes and a setting to a motion for each scene.
 
-The setting is the requested clearance, and whether the duration is scaled."""
+The setting is the requested clearance, and whether the duration is multiplied by the temporal
+scaling tau, which grows with the length of the avoiding path."""
 
 SAMPLES = 500
 """Number of equal time intervals in which the method `verified` samples its motions."""
