@@ -319,7 +319,7 @@ def pack_decisions(signals: Mapping[str, FloatArray]) -> dict[str, Any]:
     """Collects the decisions of all layers from logged signals, for attributes of a `MotionLog`.
 
     Args:
-        signals: logged signals by name. A signal with the prefix "decision_" has the shape (T, 2),
+        signals: logged signals by name. A signal with the prefix `decision_` has the shape (T, 2),
             with start time and compute latency [s] of the last decision of the layer that its name
             contains ("verification" or "guard").
 
