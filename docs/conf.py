@@ -37,6 +37,8 @@ nb_execution_in_temp = True
 nb_execution_timeout = 900
 nb_execution_raise_on_error = True
 default_role = "code"
+# Indented blocks of docstrings are tables and texts; code in pages names its language.
+highlight_language = "text"
 html_theme = "furo"
 html_title = "drake_oa"
 autoclass_content = "both"
