@@ -78,7 +78,7 @@ def add_posture(signals: SignalBuilder, scenario: Scenario, station: StationMode
     Without this signal, and if the task specifies a configuration `task.q_goal` at the goal, two
     systems are added. posture_guide outputs a joint motion from the configuration at the start to
     `task.q_goal` with a minimum-jerk profile; guide_follower outputs the joint positions of this
-    motion at the present phase. Otherwise no system is added.
+    motion at the present phase. Otherwise, or without a robot, no system is added.
     """
     if station is None:
         return

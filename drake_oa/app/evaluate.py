@@ -334,8 +334,8 @@ def mbm(
     system that commands the joints, requires a distance of 4 mm from resting obstacles, or less if
     the arm or its verified motion is closer.
 
-    Success: the arm ends within 1 cm and 15 degrees of the goal, without contact, and with each
-    joint at most 1 mrad beyond its limit. Methods:
+    Success: the arm comes to rest within 1 cm and 15 degrees of the goal, without contact (with
+    itself included), and no joint was ever more than 1 mrad beyond its limit. Methods:
 
       verified, nominal, differential_ik
                             as in `drake-oa evaluate panda`

@@ -353,7 +353,8 @@ def provenance() -> dict[str, str]:
 
 
 def software_versions() -> dict[str, str]:
-    """Returns the versions of the installed packages that affect a result, by package name.
+    """Returns the versions of drake_oa, Drake, NumPy, SciPy and Open3D, as far as they are
+    installed, by package name.
 
     The keys "date" (UTC) and "source_digest" are added. The latter is the hash of the source and
     model files of this package that affect simulated motions.

@@ -81,7 +81,8 @@ def counted() -> Iterator[Counter[str]]:
     The counts are also added to an enclosing `counted` block.
 
     Yields:
-        Numbers of "searches" (batches of roll-outs), "steps" (time steps of all roll-outs),
+        Numbers of "searches" (batches of roll-outs), "steps" (time steps of all roll-outs; for a
+        point among ellipsoids, once more for each ellipsoid),
         "configurations" (computations of the whole arm's clearance in one configuration) and
         "claims" (checks of a trajectory's speed near moving obstacles, counted as 1, and near
         unobserved space, counted as 3).

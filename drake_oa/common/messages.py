@@ -136,13 +136,15 @@ class ObstacleClouds(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class EllipsoidSet(Frozen):
-    """Descriptors of obstacles: M ellipsoids that each describe an obstacle dilated by the tool.
+    """Descriptors of obstacles: M ellipsoids, one or several per obstacle.
+
+    Each ellipsoid describes an obstacle or a part of it, dilated by the tool or a part of the tool.
 
     Because of the dilation, the tool is treated as its tool point E.
 
     Attributes:
         stamp: time of the observation from which the ellipsoids were computed [s]; -inf before the
-            first observation.
+            first observation, inf for ellipsoids that a scenario states.
         p_WO: (M, 3) centers in the world frame [m].
         R_WO: (M, 3, 3) rotations, whose columns are the principal axes in the world frame.
         semi_axes: (M, 3) semi-axes along the principal axes [m].

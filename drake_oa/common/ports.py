@@ -14,8 +14,8 @@ from pydrake.systems.framework import AbstractStateIndex, Context, DependencyTic
 T = TypeVar("T")
 
 DECISION_OFFSET = 1e-3
-"""Delay of a layer's periodic decision, such as a motion search, after the start of each period of
-the layer [s].
+"""Delay of a decision on the motion or on sides after the start of each period of its layer [s].
+Collision scene, nominal posture and motion guard are delayed by 0.5, 2 and 3 times this value.
 
 Due to this delay, the decision uses an observation that perception outputs at the start of the
 period."""

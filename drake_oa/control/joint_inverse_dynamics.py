@@ -273,7 +273,7 @@ class JointInverseDynamics(InverseDynamics):
     The control law is
 
         tau = M (a_d + kd_position (v_d - v) + kp_position (q_d - q) + i) + h,
-        di/dt = ki_position (q_d - q),
+        di/dt = ki_position (q_d - q), which pauses for a joint while |q_d - q| > 0.02 rad,
 
     with measured q and v, desired q_d, v_d and a_d, integral action i, mass matrix M, gravity and
     velocity terms h, and the gains of the configuration `robot.gains`. Braking applies the torques

@@ -40,7 +40,8 @@ def operational_space_drive(
             length that converts rotations to distances [m].
 
     Returns:
-        (n,) torques tau - h [N m]; not finite if an argument is not.
+        (n,) torques tau - h [N m]; not finite if `task` or `posture` is not. M and J must be
+        finite.
     """
     J_by_M = np.linalg.solve(M, J.T).T
     remaining = task - J @ posture

@@ -1,8 +1,9 @@
 """Geometry as functions of arrays: ellipsoids, superquadrics, collision geometries, distance
 fields, voxels and cameras.
 
-The package has no systems and no state. Lengths are in meters, angles in radians; `p_WQ` are points
-Q in the world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float64.
+The package has no systems. Lengths are in meters, angles in radians; `p_WQ` are points Q in the
+world frame W, `R_WO` (3, 3) rotations, and `X_WG` poses, as matrices (4, 4), their upper rows (3,
+4), or RigidTransform.
 
 - `ellipsoid`: the unified system-obstacle descriptor (Pairet et al., RA-L 2019, section IV-B). An
   obstacle's point cloud is dilated by the tool: the dilated points are the differences of a point
@@ -12,9 +13,9 @@ Q in the world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all
   `ellipsoid_kernels`.
 - `superquadric`: the paper's least-squares fit of a superquadric to a cloud (Solina and Bajcsy
   1990).
-- `collision_scene`: collision geometries of robots and obstacles, read from Drake: exact shapes,
-  convex hulls and distance fields, each with a velocity; signed distances from points to them at a
-  given time, and points on their surfaces.
+- `collision_scene`: collision geometries of robots and obstacles: exact shapes and convex hulls,
+  which can be read from Drake, and distance fields of point clouds, each with a velocity; signed
+  distances from points to them at a given time, and points on their surfaces.
 - `distance_field`: grid of distances to an obstacle's point cloud and to the space behind it that
   the obstacle probably fills.
 - `shapes`: `!Box`, `!Cylinder` and `!Sphere`, blocks of a scenario.
@@ -23,8 +24,9 @@ Q in the world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all
   camera (`View`); classification of points by depth images as free, occluded or at a surface.
 - `directions`: unit vectors, lattices, and points on a sphere.
 
-Compiled kernels take C-contiguous arrays of one type each, so that numba compiles each of them once
-and caches it on disk. A NamedTuple such as `View` or `CollisionGeometries` counts as one argument.
+Compiled kernels that Python calls take C-contiguous arrays of one type each, so that numba compiles
+each of them once and caches it on disk. A NamedTuple such as `CollisionGeometries` counts as one
+argument.
 
 Read first: `ellipsoid.enclosing_ellipsoid`.
 """

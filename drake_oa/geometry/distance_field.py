@@ -74,7 +74,8 @@ class DistanceField(Frozen):
         p_WO: (3,) first node in the world, at the observation of the cloud [m].
         voxel: edge of a voxel, the distance between neighboring nodes [m].
         values: (nx, ny, nz) float32 distances at the nodes p_WO + voxel (i, j, k) [m].
-        low, high: (3,) corners in O of the bounding box of the occupied nodes [m].
+        low, high: (3,) corners in O of the bounding box of the occupied nodes, enlarged on each
+            side by the excess of `voxel` over 1 cm (`VOXEL`) [m].
     """
 
     p_WO: FloatArray

@@ -93,14 +93,16 @@ class _ImageSender:
         return lateness >= 0.0 and (not waits or self._system.is_ready(context))
 
     def send(self, root: Context, lcm: DrakeLcm, now: float, rate: float, is_paused: bool) -> None:
-        """Sends the latest image of the camera as an LCM message, whose time stamp is the capture
-        time by the wall clock.
+        """Sends the latest image of the camera as an LCM message.
+
+        Its time stamp is `now` minus the simulated age of the image over `rate`, the capture time
+        by the wall clock. While the simulation is paused, each repetition has a later stamp.
 
         Args:
             root: Context of the station's diagram.
             lcm: LCM bus of the messages.
             now: time of the wall clock [s].
-            rate: ratio of simulated time to wall time [-].
+            rate: maximum ratio of simulated time to wall time [-].
             is_paused: whether the simulation is paused. The image then repeats an earlier one, and
                 does not change the time at which the next new image is due.
         """

@@ -35,8 +35,9 @@ class RegressorChain(LeafSystem):
       in the trained range.
 
     The networks are those of Pairet et al., RA-L 2019 (`drake_oa.inference.regressor`). The system
-    has no state. The output is cached until an input changes. While start and goal coincide, as
-    before the first motion, alpha is 0 (no coupling) and no row is in the trained range.
+    has no state. The output is cached until an input or the time changes. While start and goal
+    coincide, as before the first motion, alpha is 0 (no coupling) and no row is in the trained
+    range.
     """
 
     def __init__(self, weights: ChainWeights, requested_clearance: float) -> None:

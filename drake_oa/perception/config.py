@@ -133,8 +133,9 @@ class LcmCamera(CameraSource):
 class RecordedBag(CameraSource):
     """Depth camera whose images are in a bag of ROS 2 (rosbag2): an MCAP or sqlite3 file.
 
-    Size and intrinsics are those of the bag. Frame rate, delay and range are those of the camera
-    in the scenario's field `cameras`. The pose of that camera in the world must be constant.
+    Size, intrinsics and times of the images are those of the bag. Delay, range, and the frame rate
+    that sets the period of perception are those of the camera in the scenario's field `cameras`.
+    The pose of that camera in the world must be constant.
     """
 
     path: str = Field(min_length=1)

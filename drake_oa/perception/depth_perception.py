@@ -412,8 +412,8 @@ def select_synchronized(stamps: FloatArray, last_stamps: FloatArray, tolerance: 
         tolerance: maximum difference of the stamps of one frame [s].
 
     Returns:
-        (n,) whether each image is new and within the tolerance of the newest stamp; all False if
-        every image with the newest stamp has been processed before.
+        (n,) whether each image is new and within the tolerance of the newest stamp; all False if no
+        image with the newest stamp is new.
     """
     newest = stamps.max()
     is_new = (stamps > last_stamps) & (stamps >= newest - max(_SAME_TIME, tolerance))

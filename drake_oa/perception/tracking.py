@@ -128,7 +128,8 @@ compared with the frame again [m]."""
 _MIN_SUPPORT_RATIO = 0.9
 """Minimum fraction of supported points that a resting track must retain after a correction of its
 position [-]: the number of remembered points with an observed point nearby after the correction,
-over the same number before the correction. With less, the correction is undone."""
+over the same number before the correction. With less, the correction is undone, unless the velocity
+of the track is significant."""
 _SPLIT_FRAMES = 3
 """Number of consecutive frames with an obstacle in separate parts, after which its track is
 split."""
@@ -160,8 +161,9 @@ class Points(Frozen):
         p_OQ: (N, 3) positions in the frame O of the track, which has the axes of the world and the
             origin `Tracks.shift_W` in the world [m].
         owner: (N,) row of the track to which each point belongs.
-        evidence: (N,) number of supporting frames less contradicting ones, from 1 to
-            `_MAX_EVIDENCE`.
+        evidence: (N,) evidence of each point, from 1 to `_MAX_EVIDENCE`: it increases by 1 in a
+            frame that supports the point, and decreases by 1 in one that contradicts it; after a
+            frame with free space at the point it is at most 1.
         weight: (N,) number of frames in the running mean of the position.
         confirmed: (N,) whether the point is confirmed, and thereby output: its evidence has reached
             2 (`_CONFIRMED`), or 3 for a resting track that was output before; or the point was in
@@ -835,8 +837,10 @@ def select_output_clouds(
 def select_output_table(
     previous: TablePlane | None, measured: TablePlane | None
 ) -> TablePlane | None:
-    """Returns the table that is output: the previous plane, unless the height of the measured one
-    differs by more than 3 mm (`_TABLE_SHIFT`) within 1 m of the world origin.
+    """Returns the table that is output: the previous plane, unless the measured one is different.
+
+    It is different if an upper bound of their difference in height, within 1 m of the world origin,
+    exceeds 3 mm (`_TABLE_SHIFT`).
 
     Args:
         previous: plane in the previous output; None: no plane.

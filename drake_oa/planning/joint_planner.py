@@ -1,4 +1,5 @@
-"""Joint-space planner for the whole arm, used if no motion with coupling terms is feasible.
+"""Joint-space planner for the whole arm, used at rest if no motion with coupling terms is feasible,
+or if the arm has left its motion.
 
 The planner is RRT-Connect (J. J. Kuffner and S. M. LaValle, ICRA 2000) with random shortcuts (R.
 Geraerts and M. H. Overmars, IJRR 2007). Edges are checked for collisions in steps, which are longer

@@ -417,8 +417,9 @@ class MotionSearch:
     def _search_motion(self, current: SelectedMotion, inputs: PlanningInputs) -> SelectedMotion:
         """Searches for the best motion without a joint-space plan, and predicts it by a roll-out.
 
-        The candidates are the nominal (demonstrated) motion, the motion with the regressor chain's
-        coupling terms, and those of the evolution strategy.
+        The nominal (demonstrated) motion, or else the current one, is kept if it is feasible.
+        Otherwise the motion with the regressor chain's coupling terms and those of the evolution
+        strategy are candidates as well.
 
         Args:
             current: current motion, with the best candidates of the previous search.

@@ -66,7 +66,8 @@ field of the obstacle is reused."""
 _DEPTH_MARGIN = 0.01
 """Distance by which a free point must lie in front of the surface that an image measures [m]."""
 _MAX_INSIDE_NODES = 400
-"""Approximate maximum number of a distance field's inner nodes that are compared with images.
+"""Number of a distance field's inner nodes above which only every k-th is compared with images, so
+that fewer than twice this number are compared.
 
 An inner node that an image observes as free contradicts the field."""
 _MAX_MAGNITUDE = 1e3

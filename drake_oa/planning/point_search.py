@@ -17,8 +17,8 @@ from drake_oa.planning.search import CLEARANCE_WEIGHT, INFEASIBLE_PENALTY, Searc
 from drake_oa.policy.rollout import Scene, ToolRollouts
 
 _COLLISION_PENALTY = 50.0
-"""Cost of a candidate motion that touches an ellipsoid, added to that of its clearance shortfall
-[-]."""
+"""Cost of a candidate motion that touches an ellipsoid and has a clearance shortfall, added to the
+cost of the shortfall [-]."""
 
 
 class PointSearch(Search):

@@ -172,7 +172,8 @@ _LINE_FRACTION = 0.2
 _MIN_LINE_COUNT = 5
 """Minimum number of a generation's candidates that differ from the best in strength alpha only."""
 _FIRST_RANDOM_GENERATION = 6
-"""Index of the first generation with uniformly random candidates, if none is feasible so far.
+"""Index of the first generation with uniformly random candidates, if none of the evolution
+strategy's best candidates is feasible so far.
 
 Generations are iterations of the search. They are counted from 0, over successive searches of a
 motion, and again from 0 after 24 generations (`_CYCLE_LENGTH`)."""
@@ -403,14 +404,16 @@ class Search(ABC):
     ) -> Ranking:
         """Searches for the candidate motion of least cost.
 
-        The nominal motion is evaluated first and, if it is infeasible, the current motion. If one
-        of them is feasible, the search returns it without evaluating other candidates.
+        The nominal motion is evaluated first and, if it is infeasible, the current motion, if that
+        has a coupling term of the search. If one of them is feasible, the search returns it without
+        evaluating other candidates.
 
         Args:
             guides: obstacles with the coupling terms of the regressor chain, which are evaluated
                 together as one candidate with heading guidance; None: no such candidate.
-            seeds: (n, 6) parameters of first candidates, in addition to a moderate avoidance term
-                on each of 16 sides.
+            seeds: (n, 6) parameters of first candidates, followed by a moderate avoidance term on
+                each of 16 sides, up to the number of candidates. A search that continues an earlier
+                one starts from the best candidates of that search instead.
             source: kind of the current motion, an index of `SOURCES` ("nominal", "chain", "search",
                 "joint_path").
 

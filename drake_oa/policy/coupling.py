@@ -80,8 +80,8 @@ def original_rate(theta: FloatArray, gamma: FloatArray, beta: FloatArray) -> Flo
         beta: decay with the angle [1/rad].
 
     Returns:
-        Turning rate [rad times the unit of gamma], positive away from the obstacle, in the
-        broadcast shape of the arguments.
+        Turning rate d theta/dt [rad times the unit of gamma], with the sign of theta, so that
+        |theta| grows (away from the obstacle); in the broadcast shape of the arguments.
     """
     return gamma * theta * np.exp(-beta * np.abs(theta))
 
@@ -103,8 +103,8 @@ def dead_zone_free_rate(
         kappa: decay with the squared distance [1/m^2].
 
     Returns:
-        Turning rate in the unit of alpha, positive away from the obstacle, in the broadcast shape
-        of the arguments.
+        Turning rate d theta/dt in the unit of alpha, with the sign of theta (positive for 0), so
+        that |theta| grows (away from the obstacle); in the broadcast shape of the arguments.
     """
     return np.copysign(alpha, theta) * np.exp(-((theta / psi) ** 2) - kappa * d**2)
 

@@ -322,8 +322,8 @@ def _check_joints(plant: MultibodyPlant, arm: Sequence[RevoluteJoint]) -> None:
 
 
 def tool_link_corners(robot: Robot) -> list[FloatArray]:
-    """Computes the corners of each tool link relative to the tool point E, as a list of arrays
-    (K_i, 3) in world axes [m].
+    """Computes the corners of each tool link with collision geometry relative to the tool point E,
+    as a list of arrays (K_i, 3) in world axes [m].
 
     The corners are used to dilate obstacles by the tool. They are those of the collision geometry
     of `robot.tool_links` and `robot.carried`, with the tool in the orientation `robot.rpy_WE` and

@@ -74,8 +74,8 @@ class RingScene:
             (x from start to goal, z up).
         directions_W: (K, 3) directions omega, unit vectors orthogonal to the baseline.
         p_WP: (M, K, 3) passing points of paths past each obstacle in each direction [m]. They have
-            the requested clearance from the obstacle, and are displaced from the baseline along
-            omega.
+            at least the requested clearance from the obstacle. They are displaced from the baseline
+            along omega, unless the baseline itself has this clearance.
         detour: (M, K) distances of the passing points from the baseline [m].
         requested_clearance: requested clearance Delta [m].
         joint_margin: (M, K) minimum distance of the joints from their limits on the path via the

@@ -138,8 +138,8 @@ def _reader(diagram: Diagram, system: str, port: str, default: T) -> Callable[[C
 
 
 def motion_state(supervision: tuple[str, str], note: str) -> str:
-    """Returns the state of a motion in words: note of a hold, action of the motion guard, or
-    "running".
+    """Returns the state of a motion in words: action of the motion guard with its reason; if this
+    action is "run", the note of a hold, or else "running".
 
     Args:
         supervision: action of the motion guard ("run", "slow", "hold" or "stop"), and its reason.
@@ -204,14 +204,14 @@ class MotionMonitor:
         """Prepares the monitor to read outputs of the systems of a diagram.
 
         Args:
-            diagram: diagram with the system `dmp_integrator` (movement primitive); other systems of
-                `build_avoidance` are optional.
+            diagram: diagram with the system `dmp_integrator` (movement primitive) and, if the
+                scenario has a robot, `plant`; other systems of `build_avoidance` are optional.
             scenario: configuration of the diagram.
             duration: time at which the simulation ends in any case [s]; None: the time limit of
                 the motion is `MAX_TIME_SCALING` demonstrated durations after the last move of the
                 goal. The simulation, which waits until everything is at rest, ends at most
                 `MAX_SETTLING_TIME` after this time limit or the last change of obstacles, goal and
-                faults, whichever is later.
+                temporary faults (those that end before the time limit), whichever is later.
             on_step: function that is called once per period of the policy with the monitor and the
                 root Context.
         """

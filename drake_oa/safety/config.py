@@ -56,9 +56,10 @@ class GuardParameters:
     not 0 [m/s]. In maneuvers after a contact, the limit applies in all directions. Raising it makes
     the arm faster in both cases."""
     stale_frames: float = Field(default=2.5, ge=1.0, le=1e6)
-    """Age of the last observation, in periods between camera images, above which the motion of the
-    arm slows down [-]. Above the age `policy.max_observation_age` the arm stops on its path until a
-    new observation. Raising it tolerates longer gaps in perception."""
+    """Age of the last observation, in periods of perception, above which the motion of the arm
+    slows down [-]; more than 0.9 `policy.max_observation_age` has no effect. Above the age
+    `policy.max_observation_age` the arm stops on its path until a new observation. Raising it
+    tolerates longer gaps in perception."""
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
     """Seed of the random numbers from which candidate maneuvers are drawn [-]; equal seeds
     reproduce the maneuvers."""

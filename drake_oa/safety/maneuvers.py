@@ -103,7 +103,8 @@ configuration [m]. With it, rounding errors cause no contact."""
 _VERIFIED_SLACK = 5e-3
 """Amount by which the arm may come closer to resting obstacles than on the verified motion (checked
 by simulation), so that this motion does not count as a contact [m]. Where necessary, the required
-distance is reduced to the minimum along the verified motion minus this amount."""
+distance is reduced to the minimum along the verified motion minus this amount, but not below minus
+the protrusion of the covering spheres beyond their body."""
 _SELF_CLEARANCE = 5e-3
 """Required distance between links of the arm in a maneuver, unless they are closer to each other in
 the current configuration or on the verified motion (checked by simulation) [m]."""
@@ -768,8 +769,9 @@ class _GuardModel:
                        max( min over verified motion of d_gk - 5 mm, -protrusion_g ) )
         moving:   min( padding + 12 mm, d_gk(q_now) - 2 mm )
 
-    with r(d) = min(r_0, max(d - 2 mm, min(d, r_0 / 2))) for r_0 = 4 mm. The required distance
-    between links is reduced likewise, from r_0 = 5 mm.
+    with r(d) = min(r_0, max(d - 2 mm, min(d, r_0 / 2))) for r_0 = 4 mm. Between links the required
+    distance is the smaller of r(d), for r_0 = 5 mm and the smaller distance d at q_now and at the
+    verified configuration, and of the minimum distance along the verified motion minus 2 mm.
 
     Attributes:
         inputs: state of the arm, scene and verified motion for the guard's decision.

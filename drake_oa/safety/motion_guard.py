@@ -94,8 +94,9 @@ _MAX_PERIODS = 3.0
 has become active [-]. The arm then stops on the verified motion (checked by simulation), or brakes
 if it executes a maneuver."""
 _PAUSE = 2.0
-"""Time for which an obstacle that has come to rest still counts as moving, because it may move
-again [s]. It then limits the speed of the arm by claim (A) of passive motion safety."""
+"""Time for which an obstacle that has come to rest still counts as moving in claim (A) of passive
+motion safety, a limit of the speed toward it, and in the decisions whether a wait is lasting and
+whether the arm is stuck [s]."""
 _VERBS = {"slow": "slows", "hold": "holds", "stop": "stops"}
 """Verbs of the actions slow, hold and stop in log messages."""
 

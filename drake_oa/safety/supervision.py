@@ -21,7 +21,8 @@ monitor_path         command 0.02 rad from verified motion  command 0.1 rad from
 monitor_torque       torque saturated for 0.1 s             never
 ===================  =====================================  ====================================
 
-An input that is not finite is a fault: a stop that never ends.
+A state of the robot, a desired motion or an input of the controller that is not finite is a fault:
+a stop that never ends. A collision scene that is not finite counts as no observation.
 """
 
 from __future__ import annotations

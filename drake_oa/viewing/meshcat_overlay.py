@@ -226,8 +226,8 @@ class MeshcatOverlay(LeafSystem):
         self._draw_frame(context)
 
     def _draw_frame(self, context: Context) -> None:
-        """Draws the ellipsoids and cost rings of obstacles, the tool point, the executed path and
-        the point cloud at the time of a Context.
+        """Draws ellipsoids, selected directions, the tool point and the newest segment of the
+        executed path at the time of a Context; every few frames also cost rings and point cloud.
         """
         time, start = context.get_time(), context.get_discrete_state_vector()[0]
         frame = round((time - start) / PERIOD)

@@ -373,8 +373,9 @@ class BagCamera(TimedCamera):
     other image from its `image_time` plus the delay that the scenario sets for the camera. The last
     image remains.
 
-    In a bag, times are rounded to nanoseconds, and rotations to quaternions. Therefore a stamp
-    within 1 ns of a multiple of the camera's period is replaced by the exact multiple. A pose whose
+    In a bag, times are rounded to nanoseconds, and rotations to quaternions. Therefore an
+    `image_time` within 1 ns of a multiple of the camera's period is replaced by the time of Drake's
+    periodic event at this multiple. A pose whose
     matrix elements and coordinates [m] are within 1e-9 of the pose that the scenario sets for the
     camera is replaced by the latter. The recorded images of a simulated camera thus give
     bit-identical observations.
